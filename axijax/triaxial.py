@@ -1,0 +1,346 @@
+"""The triaxial test of Cui & O'Sullivan (2005), section 4.2: confine, switch friction on, shear, record.
+
+1. Confine: no friction, membrane and both platens at s3, until the unbalanced force and the stress error are small.
+2. Shear: friction on, both platens move inward at the platen speed (reached by a smooth ramp: a sudden start sends
+   a wave of rho c v through the specimen), the membrane's cells are refreshed with every record.
+
+`TriaxialTest` prepares a test on the host; its `simulate` is a pure function Params -> Curve for jit, vmap and jvp;
+its `run` adds checks and a sentence for whatever went wrong.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from axijax.dynamics import (
+    DEFAULT_STEP,
+    SAFE_STEP,
+    Params,
+    Scene,
+    State,
+    ball_mass,
+    check_params,
+    critical_time_step,
+    initial_state,
+    make_step,
+)
+from axijax.membrane import Membrane, build_membrane, cell_areas, stale_cells
+from axijax.neighbors import Network, build_network
+from axijax.observe import Observation, observe
+from axijax.packing import Specimen, cut_to_sector
+from axijax.sector import Sector, radial_distance
+
+CONFINE_BLOCK = 50  # steps between looks at the balance, and between refreshes of the membrane, in confinement
+
+# Bits of the status code that a run carries; `raise_for_status` turns them into sentences.
+NOT_FINITE, NOT_CONFINED, STALE_LIST, STALE_CELLS, ESCAPED = 1, 2, 4, 8, 16
+
+REMEDIES = {
+    NOT_FINITE: "a position is no longer finite: the run is unstable; lower time_step or check the parameters",
+    NOT_CONFINED: "confinement did not reach the stated equilibrium; raise confine_steps or the tolerance",
+    STALE_LIST: (
+        "a ball moved more than half the skin of the neighbour list, so a contact may have been missed; "
+        "stop at a smaller axial_strain or let `shear_on` rebuild the list"
+    ),
+    STALE_CELLS: "the membrane's triangulation no longer fits its balls; let `shear_on` rebuild it",
+    ESCAPED: "a ball has left the membrane or passed a platen; lower time_step or stop at a smaller axial_strain",
+}
+
+
+class SimulationError(RuntimeError):
+    """A run that went wrong; says what happened and what to do. `curve` holds what was computed."""
+
+    def __init__(self, message: str, curve: "Curve"):
+        super().__init__(message)
+        self.curve = curve
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Curve:
+    """The record of a test: fields of T values, compression positive. Stress ratios as in `observe.Observation`.
+
+    axial_strain: shortening over the height at the end of confinement [-].
+    volumetric_strain: loss of volume pi Rm^2 H over its value at the end of confinement [-].
+    confinement: what was observed at the end of confinement; stress_error there is |s1 - s3| / s3.
+    status: bits, zero for a sound run (see `raise_for_status`).
+    """
+
+    axial_strain: jax.Array
+    stress_ratio: jax.Array
+    virial_ratio: jax.Array
+    core_ratio: jax.Array
+    volumetric_strain: jax.Array
+    coordination_number: jax.Array
+    unbalanced_force: jax.Array
+    sliding_fraction: jax.Array
+    membrane_radius: jax.Array
+    confinement: "Confinement"
+    status: jax.Array
+
+
+class Confinement(NamedTuple):
+    """How confinement ended: mean unbalanced force over mean contact force, |s1 - s3|/s3, steps taken."""
+
+    unbalanced_force: jax.Array
+    stress_error: jax.Array
+    steps: jax.Array
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """The numbers of a test that are not physics; static.
+
+    blocks, block_steps: the shear runs blocks * block_steps steps and records after each block.
+    refresh: find the membrane's cells again with every record; otherwise they keep their first areas.
+    confine_steps: most steps spent on confinement.
+    tolerance: unbalanced force and stress error at which confinement ends [-].
+    """
+
+    blocks: int
+    block_steps: int = 50
+    refresh: bool = True
+    confine_steps: int = 20_000
+    tolerance: float = 1e-7
+
+
+@dataclass(frozen=True)
+class TriaxialTest:
+    """A triaxial test of a specimen's sector, ready to run.
+
+    specimen: the full cylinder; the sector is cut from it.
+    sector: order n and boundary, by default the paper's quarter between periodic planes.
+    scene: what is modelled.
+    params: reference parameters; the time step and the ramp are chosen for these.
+    axial_strain: where the test stops [-].
+    time_step: [T]; None takes 0.6 of the critical one.
+    record_every: steps between records; the membrane's cells are found again as often.
+    refresh: whether they are found again at all.
+
+    Raises ValueError for parameters, specimens and steps that make no sense.
+    """
+
+    specimen: Specimen
+    sector: Sector = field(default_factory=Sector)
+    scene: Scene = field(default_factory=Scene)
+    params: Params = field(default_factory=Params)
+    axial_strain: float = 0.01
+    time_step: float | None = None
+    record_every: int = 50
+    refresh: bool = True
+    confine_steps: int = 20_000
+    tolerance: float = 1e-7
+    network: Network = field(init=False, repr=False)
+    membrane: Membrane = field(init=False, repr=False)
+    cut: Specimen = field(init=False, repr=False)
+    ramp_time: float = field(init=False)
+    protocol: Protocol = field(init=False)
+
+    def __post_init__(self) -> None:
+        check_params(self.params)
+        if not (np.isfinite(self.axial_strain) and 0 < self.axial_strain < 0.5):
+            raise ValueError(f"axial_strain = {self.axial_strain!r}: must lie between 0 and 0.5.")
+        if not float(self.params.platen_speed) > 0:
+            raise ValueError(f"platen_speed = {self.params.platen_speed!r}: must be positive, inward.")
+        if isinstance(self.record_every, bool) or not isinstance(self.record_every, int) or self.record_every < 1:
+            raise ValueError(f"record_every = {self.record_every!r}: must be a whole number of steps >= 1.")
+        cut = cut_to_sector(self.specimen, self.sector)
+        network = build_network(cut, self.sector)
+        limit = critical_time_step(self.scene, self.params, network)
+        step = DEFAULT_STEP * limit if self.time_step is None else self.time_step
+        if not (np.isfinite(step) and step > 0):
+            raise ValueError(f"time_step = {step!r}: must be positive and finite [T].")
+        if step > SAFE_STEP * limit * (1 + 1e-9):
+            raise ValueError(
+                f"time_step = {step:.4g}: must be at most {SAFE_STEP:g} of the critical time step {limit:.4g}, that is "
+                f"{SAFE_STEP * limit:.4g}; beyond it contacts chatter and the strength falls without any other sign."
+            )
+        ramp = 8 * cut.height / _wave_speed(self.params, network)
+        speed = 2 * float(self.params.platen_speed)
+        duration = self.axial_strain * cut.height / speed + ramp / 2
+        prepared = {
+            "cut": cut,
+            "network": network,
+            "membrane": build_membrane(cut, self.sector),
+            "time_step": float(step),
+            "ramp_time": float(ramp),
+            "protocol": Protocol(
+                blocks=int(np.ceil(duration / step / self.record_every)),
+                block_steps=self.record_every,
+                refresh=self.refresh,
+                confine_steps=self.confine_steps,
+                tolerance=self.tolerance,
+            ),
+        }
+        for name, value in prepared.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def _numbers(self):
+        return self.network, self.membrane, jnp.asarray([self.cut.bottom, self.cut.top]), self.time_step, self.ramp_time
+
+    def simulate(self, params: Params) -> Curve:
+        """The whole test as a pure function of its parameters, for jax.jit, jax.vmap and jax.jvp.
+
+        Look at `status` of what comes back, or let `run` do so.
+        """
+        return _simulate(self.scene, self.protocol, self._numbers, params)
+
+    def confine(self, params: Params | None = None) -> tuple[State, Confinement]:
+        """The state at the end of confinement, and how well it is balanced. Raises nothing; see `run`."""
+        return _confine(self.protocol, self._numbers, self.params if params is None else params)
+
+    def run(self, params: Params | None = None) -> Curve:
+        """Run the test, look at its status and return the curve. Raises SimulationError with the remedy."""
+        params = self.params if params is None else params
+        check_params(params)
+        curve = self.simulate(params)
+        raise_for_status(curve)
+        return curve
+
+
+def raise_for_status(curve: Curve) -> None:
+    """Raise SimulationError, naming what went wrong and what to do, unless the curve's status is zero."""
+    status = int(np.bitwise_or.reduce(np.atleast_1d(np.asarray(curve.status)).ravel()))
+    if status:
+        reasons = [text for bit, text in REMEDIES.items() if status & bit]
+        raise SimulationError("the test went wrong: " + "; ".join(reasons) + ".", curve)
+
+
+def _wave_speed(params: Params, network: Network):
+    """P-wave speed of a close packing with stuck contacts, 2 r sqrt((kn + ks)/m) [L/T]; sets ramps and damping."""
+    radius = network.radius.mean()
+    mass = params.density * (4 / 3) * np.pi * radius**3
+    return 2 * radius * ((params.normal_stiffness + params.shear_stiffness) / mass) ** 0.5
+
+
+@partial(jax.jit, static_argnums=0)
+def _confine(protocol: Protocol, numbers, params: Params) -> tuple[State, Confinement]:
+    network, membrane, platens, dt, _ = numbers
+    scene = Scene(rotation=False, friction=False, damping="background")
+    # The slowest mode, half a wave along the specimen, is damped critically; the others settle within it.
+    rate = 2 * jnp.pi * _wave_speed(params, network) / (platens[1] - platens[0])
+    params = replace(params, background_damping=rate)
+    step = make_step(scene, _servo(network))
+
+    def unsettled(carry):
+        _, balance = carry
+        worst = jnp.maximum(balance.unbalanced_force, balance.stress_error)
+        return (worst > protocol.tolerance) & (balance.steps < protocol.confine_steps)
+
+    def block(carry):
+        state, balance = carry
+        areas = _areas(membrane, network, state)
+        state = _repeat(lambda s: step(params, network, areas, dt, s), CONFINE_BLOCK, state)
+        seen = observe(scene, params, network, membrane, areas, dt, state)
+        stress_error = jnp.abs(seen.stress_ratio - 1)
+        return state, Confinement(seen.unbalanced_force, stress_error, balance.steps + CONFINE_BLOCK)
+
+    state = initial_state(network, scene, platens)
+    one = jnp.ones((), network.positions.dtype)
+    return jax.lax.while_loop(unsettled, block, (state, Confinement(one, one, jnp.zeros((), jnp.int32))))
+
+
+def _repeat(function, times: int, state: State) -> State:
+    return jax.lax.scan(lambda s, _: (function(s), None), state, None, length=times)[0]
+
+
+def _servo(network: Network):
+    """Platens carried by s3: each has the mass of one layer of balls and is damped like them."""
+
+    def drive(params, state, dt, push, area):
+        height = state.platens[1] - state.platens[0]
+        radius = area / (network.sector.angle * height)  # the cells tile the strip
+        load = params.confining_stress * 0.5 * network.sector.angle * radius**2
+        mass = (ball_mass(params, network) * network.weight).sum() * 2 * network.radius.mean() / height
+        half = 0.5 * dt * params.background_damping
+        inward = jnp.array([1.0, -1.0], push.dtype) * (load - push) / mass
+        return ((1 - half) * state.platen_speeds + dt * inward) / (1 + half)
+
+    return drive
+
+
+def _ramp(ramp_time):
+    """Platens moved inward at the platen speed, which is reached smoothly after ramp_time."""
+
+    def drive(params, state, dt, push, area):
+        x = jnp.clip((state.time + dt) / ramp_time, 0.0, 1.0)
+        return jnp.array([1.0, -1.0], push.dtype) * params.platen_speed * x * x * (3 - 2 * x)
+
+    return drive
+
+
+def _areas(membrane, network, state):
+    return cell_areas(membrane, network.positions + state.displacement, state.platens[0], state.platens[1])
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _shear(scene: Scene, protocol: Protocol, numbers, params: Params, state: State):
+    """Shear on from a state: the state after all blocks, with the observation and the status before each block."""
+    network, membrane, _, dt, ramp_time = numbers
+    step = make_step(scene, _ramp(ramp_time))
+    first_areas = _areas(membrane, network, state)
+
+    def block(state, _):
+        areas = _areas(membrane, network, state) if protocol.refresh else first_areas
+        seen = observe(scene, params, network, membrane, areas, dt, state)
+        status = _trouble(network, membrane, state, protocol.refresh)
+        state = _repeat(lambda s: step(params, network, areas, dt, s), protocol.block_steps, state)
+        return state, (seen, status)
+
+    state, (seen, status) = jax.lax.scan(block, state, None, length=protocol.blocks)
+    return state, seen, status
+
+
+def _trouble(network: Network, membrane: Membrane, state: State, refresh: bool) -> jax.Array:
+    """Status bits of one state."""
+    positions = network.positions + state.displacement
+    moved = jnp.sqrt((state.displacement**2).sum(axis=0).max())
+    rho = radial_distance(positions)
+    outer = rho[membrane.zone]
+    bits = jnp.where(jnp.isfinite(state.displacement).all() & jnp.isfinite(state.velocity).all(), 0, NOT_FINITE)
+    bits |= jnp.where(2 * moved > network.skin, STALE_LIST, 0)
+    if refresh:
+        stale = stale_cells(membrane, positions, state.platens[0], state.platens[1])
+        bits |= jnp.where(stale > 1e-3, STALE_CELLS, 0)
+    inside = (positions[2] > state.platens[0]) & (positions[2] < state.platens[1]) & (rho < 1.5 * jnp.mean(outer))
+    return bits | jnp.where(inside.all(), 0, ESCAPED)
+
+
+def _start_shear(scene: Scene, network: Network, confined: State) -> State:
+    """Friction on: springs and spins start from nothing, balls and platens from rest."""
+    rest = initial_state(network, scene, confined.platens)
+    return rest._replace(displacement=confined.displacement)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _simulate(scene: Scene, protocol: Protocol, numbers, params: Params) -> Curve:
+    network, membrane, *_ = numbers
+    confined, balance = _confine(protocol, numbers, params)
+    state, seen, status = _shear(scene, protocol, numbers, params, _start_shear(scene, network, confined))
+    settled = jnp.maximum(balance.unbalanced_force, balance.stress_error) <= protocol.tolerance
+    status = jnp.bitwise_or.reduce(status) | jnp.where(settled, 0, NOT_CONFINED)
+    status |= _trouble(network, membrane, state, protocol.refresh)
+    return make_curve(seen, balance, status)
+
+
+def make_curve(seen: Observation, balance: Confinement, status: jax.Array) -> Curve:
+    """A curve from T observations, strains counted from the first."""
+    volume = seen.membrane_radius**2 * seen.height
+    return Curve(
+        axial_strain=1 - seen.height / seen.height[0],
+        stress_ratio=seen.stress_ratio,
+        virial_ratio=seen.virial_ratio,
+        core_ratio=seen.core_ratio,
+        volumetric_strain=1 - volume / volume[0],
+        coordination_number=seen.coordination_number,
+        unbalanced_force=seen.unbalanced_force,
+        sliding_fraction=seen.sliding_fraction,
+        membrane_radius=seen.membrane_radius,
+        confinement=balance,
+        status=status,
+    )
