@@ -35,6 +35,8 @@ class Membrane:
     turn_sign, turn_shift: (3, T), a corner's angle is turn_sign * theta + turn_shift.
     flip_sign, flip_bottom, flip_top: (3, T), its height is flip_sign * z + flip_bottom * bottom + flip_top * top.
     owned: (3, T) 1 where the corner is the ball itself and not a copy.
+    edge: (3, T) int, the edge opposite to each corner, numbered over the triangulation.
+    counted: (Z,) bool, balls that Rm is taken over; one squeezed far out of the surface is loaded but not counted.
     sector_angle: () angle of the sector [rad].
     """
 
@@ -49,99 +51,131 @@ class Membrane:
     flip_bottom: jax.Array
     flip_top: jax.Array
     owned: jax.Array
+    edge: jax.Array
+    counted: jax.Array
     sector_angle: jax.Array
 
 
-def build_membrane(specimen: Specimen, sector: Sector, dtype=np.float64) -> Membrane:
+# A zone ball this many of its radii farther out than its neighbours on the surface no longer counts for Rm.
+SQUEEZED_OUT = 4.0
+
+
+def build_membrane(specimen: Specimen, sector: Sector, triangles: int | None = None, dtype=np.float64) -> Membrane:
     """Triangulate the membrane zone on the unfolded cylinder (host, SciPy's Delaunay).
 
-    Raises ValueError where the zone is empty, a zone ball is on the axis, or two zone balls share one place on
-    the cylinder (their cells would be undefined).
+    triangles: number of triangles to pad to, so that a rebuilt membrane keeps its shape; None takes what is needed.
+
+    Raises ValueError where the zone is empty, a zone ball is on the axis, two zone balls share one place on the
+    cylinder (their cells would be undefined), or triangles is too small.
     """
     zone = np.flatnonzero(specimen.membrane_zone)
     points = specimen.positions[:, zone]
-    bottom, top = specimen.bottom, specimen.top
     if zone.size == 0:
         raise ValueError("membrane_zone holds no ball: mark the outer balls, or there are no cells to load.")
     rho = np.hypot(points[0], points[1])
-    if rho.min() < 1e-6 * rho.max() or rho.max() == 0:
+    if rho.min() <= 1e-6 * specimen.radius[zone].min():
         raise ValueError(
             f"membrane_zone: ball {zone[rho.argmin()]} is on the axis, where a radial force has no direction; "
             "mark the outer balls only."
         )
-    middle = (rho.min() + rho.max()) / 2
     theta = sector.angle_of(points)
-    theta_in = np.mod(theta, sector.angle) if sector.boundary == "periodic" else theta
-    theta_in = np.where(sector.angle - theta_in < 1e-12, 0.0, theta_in)
-
-    # Copies: one period to either side, or a mirror image in either rigid plane; mirrored in either platen.
-    if sector.boundary == "periodic":
-        across = [(1.0, 0.0), (1.0, -sector.angle), (1.0, sector.angle)]
-    else:
-        across = [(1.0, 0.0), (-1.0, 0.0), (-1.0, 2 * sector.angle)]
-    upright = [(1.0, 0.0, 0.0), (-1.0, 2.0, 0.0), (-1.0, 0.0, 2.0)]
-    tolerance = 1e-9 * middle
-    places, codes, owners = [], [], []
-    share = np.ones(zone.size)
-    for sign, shift in across:
-        for flip, at_bottom, at_top in upright:
-            x = middle * (sign * theta_in + shift)
-            z = flip * points[2] + at_bottom * bottom + at_top * top
-            # A centre on a platen or rigid plane is its own mirror image: leave the copy out, halve the cell.
-            own = (np.abs(x - middle * theta_in) < tolerance) & (np.abs(z - points[2]) < tolerance)
-            is_self = (sign, shift, flip) == (1.0, 0.0, 1.0)
-            if not is_self:
-                share = np.where(own, share / 2, share)
-            keep = np.flatnonzero(~own | is_self)
-            # The shift undoes the move into the first sector, so that it applies to the ball's own angle.
-            undo = sign * (theta_in - theta)[keep]
-            places.append(np.stack([x[keep], z[keep]]))
-            ones = np.ones(keep.size)
-            codes.append(np.stack([sign * ones, shift + undo, flip * ones, at_bottom * ones, at_top * ones, 1.0 * is_self * ones]))
-            owners.append(keep)
-    places, codes, owners = np.concatenate(places, 1), np.concatenate(codes, 1), np.concatenate(owners)
-
-    # Only copies that can reach into the strip matter; too few to be trimmed are all kept.
-    spacing = np.sqrt(middle * sector.angle * (top - bottom) / zone.size)
-    margin = max(6 * spacing, 0.0)
-    near = (
-        (places[0] > -margin) & (places[0] < middle * sector.angle + margin)
-        & (places[1] > bottom - margin) & (places[1] < top + margin)
-    ) | (zone.size < 30)
-    places, codes, owners = places[:, near], codes[:, near], owners[near]
+    middle = (rho.min() + rho.max()) / 2
+    places, codes, owners, share = _copies(theta, points[2], middle, specimen.bottom, specimen.top, sector)
     corners = Delaunay(places.T).simplices.T
-    present = np.isin(np.arange(zone.size), owners[np.unique(corners[codes[5][corners] > 0])])
-    if not present.all():
-        lost = zone[~present]
-        raise ValueError(
-            f"membrane_zone: ball {lost[0]} lies at the same place of the unfolded cylinder as another zone ball, so "
-            "it has no Voronoi cell; mark only one of them."
-        )
     a, b, c = places[:, corners[0]], places[:, corners[1]], places[:, corners[2]]
     clockwise = _cross(b - a, c - a) < 0
     corners[1:, clockwise] = corners[:0:-1, clockwise]
-    corners = corners[:, codes[5][corners].any(axis=0)]
-    code = codes[:, corners]
+    owned = codes[5] > 0
+    corners = corners[:, owned[corners].any(axis=0)]
+    celled = np.isin(np.arange(zone.size), owners[corners[owned[corners]]])
+    if not celled.all():
+        raise ValueError(
+            f"membrane_zone: ball {zone[~celled][0]} lies at the same place of the unfolded cylinder as another zone "
+            "ball, so it has no Voronoi cell; mark only one of them."
+        )
+    needed = corners.shape[1]
+    if triangles is not None and triangles < needed:
+        raise ValueError(f"triangles = {triangles}: the membrane needs {needed}; allow at least that many.")
+    ends = np.sort(np.stack([corners[[1, 2]], corners[[2, 0]], corners[[0, 1]]], axis=1), axis=0)
+    _, edge = np.unique(ends.reshape(2, -1), axis=1, return_inverse=True)
+    edge = edge.reshape(3, -1)
+    pad = np.zeros((triangles or needed) - needed, int)  # padding repeats a triangle that nobody owns
+    code = np.concatenate([codes[:, corners], codes[:, corners[:, pad]] * [[[1]], [[1]], [[1]], [[1]], [[1]], [[0]]]], 2)
     return Membrane(
         zone=jnp.asarray(zone.astype(np.int32)),
         angle=jnp.asarray(theta.astype(dtype)),
         direction=jnp.asarray((points[:2] / rho).astype(dtype)),
         share=jnp.asarray(share.astype(dtype)),
-        corner=jnp.asarray(owners[corners].astype(np.int32)),
+        corner=jnp.asarray(owners[np.concatenate([corners, corners[:, pad]], 1)].astype(np.int32)),
         turn_sign=jnp.asarray(code[0].astype(dtype)),
         turn_shift=jnp.asarray(code[1].astype(dtype)),
         flip_sign=jnp.asarray(code[2].astype(dtype)),
         flip_bottom=jnp.asarray(code[3].astype(dtype)),
         flip_top=jnp.asarray(code[4].astype(dtype)),
         owned=jnp.asarray(code[5].astype(dtype)),
+        edge=jnp.asarray(np.concatenate([edge, np.full((3, pad.size), edge.max() + 1)], 1).astype(np.int32)),
+        counted=jnp.asarray(_within_surface(rho, specimen.radius[zone], owners[corners])),
         sector_angle=jnp.asarray(sector.angle, dtype),
     )
+
+
+def _copies(theta, z, middle, bottom, top, sector: Sector):
+    """The zone's balls and the copies that shape their cells: one period to either side, or a mirror image in either
+    rigid plane, and all of these mirrored in either platen.
+
+    Returns their places (2, C), the codes (6, C) of how each follows from its ball, the ball (C,), and each ball's
+    share of its cell (Z,).
+    """
+    if sector.boundary == "periodic":
+        home = np.mod(theta, sector.angle)
+        home = np.where(sector.angle - home < 1e-12, 0.0, home)
+        across = [(1.0, 0.0), (1.0, -sector.angle), (1.0, sector.angle)]
+    else:
+        home = theta
+        across = [(1.0, 0.0), (-1.0, 0.0), (-1.0, 2 * sector.angle)]
+    upright = [(1.0, 0.0, 0.0), (-1.0, 2.0, 0.0), (-1.0, 0.0, 2.0)]
+    # Only copies near the strip matter; a zone of few balls keeps them all.
+    width, height = middle * sector.angle, top - bottom
+    margin = 6 * np.sqrt(width * height / z.size) if z.size >= 30 else np.inf
+    share = np.ones(z.size)
+    places, codes, owners = [], [], []
+    for sign, shift in across:
+        for flip, at_bottom, at_top in upright:
+            x = middle * (sign * home + shift)
+            y = flip * z + at_bottom * bottom + at_top * top
+            original = (sign, shift, flip) == (1.0, 0.0, 1.0)
+            # A centre on a platen or a rigid plane is its own mirror image: leave the copy out and halve the cell.
+            itself = (np.abs(x - middle * home) < 1e-9 * middle) & (np.abs(y - z) < 1e-9 * middle) & (not original)
+            share = np.where(itself, share / 2, share)
+            close = (x > -margin) & (x < width + margin) & (y > bottom - margin) & (y < top + margin)
+            kept = np.flatnonzero(close & ~itself)
+            one = np.ones(kept.size)
+            # The shift includes the move into the first sector, so that it applies to the ball's own angle.
+            moved = shift + sign * (home - theta)[kept]
+            places.append(np.stack([x[kept], y[kept]]))
+            codes.append(np.stack([sign * one, moved, flip * one, at_bottom * one, at_top * one, original * one]))
+            owners.append(kept)
+    return np.concatenate(places, 1), np.concatenate(codes, 1), np.concatenate(owners), share
+
+
+def _within_surface(rho, radius, corners):
+    """Which balls are less than SQUEEZED_OUT radii farther out than the median of their neighbours; (Z,) bool."""
+    neighbours = [set() for _ in rho]
+    for a, b, c in corners.T:
+        neighbours[a] |= {b, c}
+        neighbours[b] |= {c, a}
+        neighbours[c] |= {a, b}
+    median = np.array([np.median(rho[list(near - {i}) or [i]]) for i, near in enumerate(neighbours)])
+    within = rho - median < SQUEEZED_OUT * radius
+    return within if within.any() else np.ones_like(within)
 
 
 def membrane_radius(membrane: Membrane, positions: jax.Array) -> jax.Array:
     """Radius Rm of the cylinder through the middle of the zone [L]; positions (3, N)."""
     rho = radial_distance(positions[:, membrane.zone])
-    return (rho.min() + rho.max()) / 2
+    least = jnp.where(membrane.counted, rho, jnp.inf).min()
+    most = jnp.where(membrane.counted, rho, -jnp.inf).max()
+    return (least + most) / 2
 
 
 def cell_areas(membrane: Membrane, positions: jax.Array, bottom, top) -> jax.Array:
@@ -166,19 +200,21 @@ def cell_areas(membrane: Membrane, positions: jax.Array, bottom, top) -> jax.Arr
 
 
 def stale_cells(membrane: Membrane, positions: jax.Array, bottom, top) -> jax.Array:
-    """How far the triangulation is from a Delaunay one: the area that is counted with the wrong sign, as a share
-    of the strip's area [-]. Zero just after `build_membrane`; the areas' error is of the same order."""
+    """How far the triangulation is from a Delaunay one: the area between ball and cell edge that is counted with
+    the wrong sign, as a share of the strip's area [-]. Zero after `build_membrane`; the areas' error is of its order.
+    """
     radius = membrane_radius(membrane, positions)
     place = _corner_places(membrane, positions, bottom, top, radius)
-    centre = _circumcentres(place)
-    wrong = 0.0
-    for corner, (before, after) in enumerate(((2, 1), (0, 2), (1, 0))):
-        own = place[:, corner]
-        pieces = _cross(place[:, after] - own, centre - own), _cross(centre - own, place[:, before] - own)
-        # An obtuse triangle's circumcentre lies outside it and its neighbour makes up for it; only a negative
-        # whole piece is wrong.
-        wrong += jnp.sum(jnp.maximum(-(pieces[0] + pieces[1]), 0.0) * membrane.owned[corner])
-    return 0.25 * wrong / (membrane.sector_angle * radius * (top - bottom))
+    sides = place[:, (2, 0, 1)] - place[:, (1, 2, 0)]  # opposite to each corner, counter-clockwise
+    twice_area = _cross(sides[:, 0], sides[:, 1])
+    square = (sides * sides).sum(0)
+    # cot of the angle at a corner times the square of the side opposite: the cell edge's share in this triangle
+    cotangent = -(sides[:, (1, 2, 0)] * sides[:, (2, 0, 1)]).sum(0) / twice_area
+    count = membrane.edge.size
+    across = jnp.zeros(count, positions.dtype).at[membrane.edge].add(cotangent * square / 8)
+    shared = jnp.zeros(count, jnp.int32).at[membrane.edge].add(1)
+    wrong = jnp.where(shared == 2, jnp.maximum(-across, 0.0), 0.0).sum()
+    return wrong / (membrane.sector_angle * radius * (top - bottom))
 
 
 def membrane_force(stress, areas: jax.Array, positions: jax.Array) -> jax.Array:

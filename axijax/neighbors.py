@@ -64,6 +64,7 @@ def build_network(
     sector: Sector,
     skin: float | None = None,
     width: int | None = None,
+    copies: int | None = None,
     largest_overlap: float = 0.05,
     dtype=np.float64,
 ) -> Network:
@@ -72,9 +73,11 @@ def build_network(
     skin: how much farther than touching to look [L]; None takes 0.8 of the smallest radius, which in a cubic
         close packing stops just short of the second neighbours.
     width: number of entries K a ball; None takes what is needed.
+    copies: number of turned copies M to pad to; None takes what is needed. A rebuilt list that keeps width and
+        copies keeps its shape, and nothing is compiled again.
     largest_overlap: refuse a specimen with a deeper overlap than this, in radii of the smaller ball [-].
 
-    Raises ValueError for overlapping balls, images included, and for a width that is too small.
+    Raises ValueError for overlapping balls, images included, and for a width or copies that are too small.
     """
     positions, radius = specimen.positions, specimen.radius
     count = len(specimen)
@@ -115,6 +118,9 @@ def build_network(
     pairs, which = np.unique(np.stack([j[k != 0], k[k != 0]]), axis=1, return_inverse=True)
     column = np.array(j)
     column[k != 0] = count + which.ravel()
+    if copies is not None and copies < pairs.shape[1]:
+        raise ValueError(f"turned copies = {copies}: {pairs.shape[1]} are in use; allow at least that many.")
+    pairs = np.concatenate([pairs, np.zeros((2, (copies or pairs.shape[1]) - pairs.shape[1]), pairs.dtype)], axis=1)
     cos, sin = sector.cos_sin(pairs[1])
     cubes = radius[i] ** 3, radius[j] ** 3
     pair_cube = cubes[0] * cubes[1] / (cubes[0] + cubes[1])

@@ -279,11 +279,13 @@ def _areas(membrane, network, state):
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _shear(scene: Scene, protocol: Protocol, numbers, params: Params, state: State):
-    """Shear on from a state: the state after all blocks, with the observation and the status before each block."""
+def _shear(scene: Scene, protocol: Protocol, numbers, params: Params, state: State, first_areas):
+    """Shear on from a state: the state after all blocks, with the observation and the status before each block.
+
+    first_areas: (N,) the membrane cells' areas where they are not refreshed [L^2].
+    """
     network, membrane, _, dt, ramp_time = numbers
     step = make_step(scene, _ramp(ramp_time))
-    first_areas = _areas(membrane, network, state)
 
     def block(state, _):
         areas = _areas(membrane, network, state) if protocol.refresh else first_areas
@@ -321,7 +323,8 @@ def _start_shear(scene: Scene, network: Network, confined: State) -> State:
 def _simulate(scene: Scene, protocol: Protocol, numbers, params: Params) -> Curve:
     network, membrane, *_ = numbers
     confined, balance = _confine(protocol, numbers, params)
-    state, seen, status = _shear(scene, protocol, numbers, params, _start_shear(scene, network, confined))
+    start = _start_shear(scene, network, confined)
+    state, seen, status = _shear(scene, protocol, numbers, params, start, _areas(membrane, network, start))
     settled = jnp.maximum(balance.unbalanced_force, balance.stress_error) <= protocol.tolerance
     status = jnp.bitwise_or.reduce(status) | jnp.where(settled, 0, NOT_CONFINED)
     status |= _trouble(network, membrane, state, protocol.refresh)
