@@ -170,6 +170,26 @@ def _within_surface(rho, radius, corners):
     return within if within.any() else np.ones_like(within)
 
 
+def zone_found_again(specimen: Specimen, sector: Sector) -> np.ndarray:
+    """The specimen's membrane zone with every ball added that has come through it; (N,) bool (host).
+
+    The membrane is taken as the surface that joins the zone's balls, rho interpolated linearly between them on the
+    unfolded cylinder; a ball whose centre lies outside it touches the membrane from now on.
+    """
+    from scipy.interpolate import LinearNDInterpolator
+
+    zone = np.flatnonzero(specimen.membrane_zone)
+    rho = np.hypot(specimen.positions[0], specimen.positions[1])
+    theta = sector.angle_of(specimen.positions)
+    middle = (rho[zone].min() + rho[zone].max()) / 2
+    z = specimen.positions[2]
+    places, _, owners, _ = _copies(theta[zone], z[zone], middle, specimen.bottom, specimen.top, sector)
+    surface = LinearNDInterpolator(places.T, rho[zone][owners])
+    home = np.mod(theta, sector.angle) if sector.boundary == "periodic" else theta
+    outside = rho > surface(middle * home, z) + 1e-9 * middle
+    return specimen.membrane_zone | outside
+
+
 def membrane_radius(membrane: Membrane, positions: jax.Array) -> jax.Array:
     """Radius Rm of the cylinder through the middle of the zone [L]; positions (3, N)."""
     rho = radial_distance(positions[:, membrane.zone])

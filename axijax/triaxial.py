@@ -8,7 +8,8 @@
 its `run` adds checks and a sentence for whatever went wrong.
 """
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -28,12 +29,14 @@ from axijax.dynamics import (
     initial_state,
     make_step,
 )
-from axijax.membrane import Membrane, build_membrane, cell_areas, stale_cells
-from axijax.neighbors import Network, build_network
+from axijax.membrane import Membrane, build_membrane, cell_areas, stale_cells, zone_found_again
+from axijax.neighbors import Network, build_network, carry_springs
 from axijax.observe import Observation, observe
 from axijax.packing import Specimen, cut_to_sector
 from axijax.sector import Sector, radial_distance
 
+SEGMENT = 1000  # steps between looks at the run from outside: progress, rebuilding, errors
+STALE = 1e-3  # largest share of the strip's area that may be counted to the wrong cell
 CONFINE_BLOCK = 50  # steps between looks at the balance, and between refreshes of the membrane, in confinement
 
 # Bits of the status code that a run carries; `raise_for_status` turns them into sentences.
@@ -44,9 +47,9 @@ REMEDIES = {
     NOT_CONFINED: "confinement did not reach the stated equilibrium; raise confine_steps or the tolerance",
     STALE_LIST: (
         "a ball moved more than half the skin of the neighbour list, so a contact may have been missed; "
-        "stop at a smaller axial_strain or let `shear_on` rebuild the list"
+        "stop at a smaller axial_strain, or use `run`, which rebuilds the list"
     ),
-    STALE_CELLS: "the membrane's triangulation no longer fits its balls; let `shear_on` rebuild it",
+    STALE_CELLS: "the membrane's triangulation no longer fits its balls; use `run`, which rebuilds it",
     ESCAPED: "a ball has left the membrane or passed a platen; lower time_step or stop at a smaller axial_strain",
 }
 
@@ -54,7 +57,7 @@ REMEDIES = {
 class SimulationError(RuntimeError):
     """A run that went wrong; says what happened and what to do. `curve` holds what was computed."""
 
-    def __init__(self, message: str, curve: "Curve"):
+    def __init__(self, message: str, curve: "Curve | None"):
         super().__init__(message)
         self.curve = curve
 
@@ -89,6 +92,9 @@ class Confinement(NamedTuple):
     unbalanced_force: jax.Array
     stress_error: jax.Array
     steps: jax.Array
+
+
+WHOLE = ("confinement", "status")  # the fields of a curve that are not records
 
 
 @dataclass(frozen=True)
@@ -179,36 +185,114 @@ class TriaxialTest:
         for name, value in prepared.items():
             object.__setattr__(self, name, value)
 
-    @property
-    def _numbers(self):
-        return self.network, self.membrane, jnp.asarray([self.cut.bottom, self.cut.top]), self.time_step, self.ramp_time
-
     def simulate(self, params: Params) -> Curve:
         """The whole test as a pure function of its parameters, for jax.jit, jax.vmap and jax.jvp.
 
-        Look at `status` of what comes back, or let `run` do so.
+        One contact list serves the whole test, which is right up to about 2 % strain. Look at `status` of what comes
+        back, or call `raise_for_status`.
         """
-        return _simulate(self.scene, self.protocol, self._numbers, params)
+        return _simulate(self.scene, self.protocol, self._numbers(self.network, self.membrane), params)
 
     def confine(self, params: Params | None = None) -> tuple[State, Confinement]:
-        """The state at the end of confinement, and how well it is balanced. Raises nothing; see `run`."""
-        return _confine(self.protocol, self._numbers, self.params if params is None else params)
+        """The state at the end of confinement, and how well it is balanced."""
+        numbers = self._numbers(self.network, self.membrane)
+        return _confine(self.protocol, numbers, self.params if params is None else params)
 
-    def run(self, params: Params | None = None) -> Curve:
-        """Run the test, look at its status and return the curve. Raises SimulationError with the remedy."""
+    def run(self, params: Params | None = None, progress: Callable[[float, float], None] | None = None) -> "Run":
+        """Run the test to its axial strain and return curve and final state; lists are rebuilt where needed.
+
+        progress: called with the axial strain and the stress ratio reached, about once every 1000 steps.
+
+        Raises ValueError for bad parameters, and SimulationError with the remedy for a run that went wrong.
+        """
         params = self.params if params is None else params
         check_params(params)
-        curve = self.simulate(params)
-        raise_for_status(curve)
-        return curve
+        cut, network, membrane = self.cut, self.network, self.membrane
+        confined, balance = self.confine(params)
+        if not float(max(balance.unbalanced_force, balance.stress_error)) <= self.tolerance:
+            raise_for_status(NOT_CONFINED)
+        state = _start_shear(self.scene, network, confined)
+        areas = _areas(membrane, network, state)
+        height = float(state.platens[1] - state.platens[0])
+        stretch = replace(self.protocol, blocks=-(-SEGMENT // self.record_every))
+        records: list[Observation] = []
+        strain = 0.0
+        while strain < self.axial_strain:
+            numbers = self._numbers(network, membrane)
+            state, seen, status = _shear(self.scene, stretch, numbers, params, state, areas)
+            records.append(jax.tree.map(np.asarray, seen))
+            raise_for_status(status, make_curve(_join(records), balance))
+            strain = 1 - float(state.platens[1] - state.platens[0]) / height
+            if progress is not None:
+                progress(strain, float(records[-1].stress_ratio[-1]))
+            moved = float(jnp.sqrt((state.displacement**2).sum(axis=0).max()))
+            stale = _stale(membrane, network, state) if self.refresh else 0.0
+            if strain < self.axial_strain and (4 * moved > float(network.skin) or stale > STALE / 2):
+                cut, network, membrane, state = _rebuilt(cut, network, membrane, state, self.refresh)
+        curve = make_curve(_join(records), balance)
+        wanted = np.asarray(curve.axial_strain) <= self.axial_strain
+        curve = replace(curve, **{f.name: getattr(curve, f.name)[wanted] for f in fields(Curve) if f.name not in WHOLE})
+        return Run(curve, network, membrane, state)
+
+    def _numbers(self, network: Network, membrane: Membrane):
+        platens = jnp.asarray([self.cut.bottom, self.cut.top])
+        return network, membrane, platens, self.time_step, self.ramp_time
 
 
-def raise_for_status(curve: Curve) -> None:
-    """Raise SimulationError, naming what went wrong and what to do, unless the curve's status is zero."""
-    status = int(np.bitwise_or.reduce(np.atleast_1d(np.asarray(curve.status)).ravel()))
-    if status:
-        reasons = [text for bit, text in REMEDIES.items() if status & bit]
+class Run(NamedTuple):
+    """What a run leaves: its curve, and the last contact list, membrane and state."""
+
+    curve: Curve
+    network: Network
+    membrane: Membrane
+    state: State
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Ball centres at the end, (3, N) [L]; ball i is ball i of the test's `cut` throughout."""
+        return np.asarray(self.network.positions + self.state.displacement)
+
+
+def raise_for_status(status, curve: Curve | None = None) -> None:
+    """Raise SimulationError, naming what went wrong and what to do, unless a curve's status bits are all zero."""
+    bits = int(np.bitwise_or.reduce(np.asarray(status).ravel()))
+    if bits:
+        reasons = [text for bit, text in REMEDIES.items() if bits & bit]
         raise SimulationError("the test went wrong: " + "; ".join(reasons) + ".", curve)
+
+
+def _join(records: list[Observation]) -> Observation:
+    return Observation(*(np.concatenate(values) for values in zip(*records, strict=True)))
+
+
+def _rebuilt(cut: Specimen, network: Network, membrane: Membrane, state: State, refresh: bool):
+    """Contact list and membrane built again from the current positions, springs carried over (host).
+
+    Every ball keeps its number and its image; the list is padded so that the next rebuild keeps its shape.
+    """
+    sector = network.sector
+    now = replace(
+        cut,
+        positions=np.asarray(network.positions + state.displacement),
+        bottom=float(state.platens[0]),
+        top=float(state.platens[1]),
+    )
+    if refresh:
+        now = replace(now, membrane_zone=zone_found_again(now, sector))
+    skin, roomy = 0.8 * float(now.radius.min()), 0.5
+    new = build_network(now, sector, skin, largest_overlap=roomy)
+    # Keep the arrays' shapes where they are large enough, or else leave room: a new shape is compiled anew.
+    width = max(new.neighbor.shape[0], network.neighbor.shape[0])
+    copies, room = new.copy_of.size, network.copy_of.size
+    copies = room if copies <= room else int(1.1 * copies)
+    new = build_network(now, sector, skin, width, copies, roomy)
+    surface, room = build_membrane(now, sector), membrane.corner.shape[1]
+    triangles = surface.corner.shape[1]
+    surface = build_membrane(now, sector, room if triangles <= room else int(1.1 * triangles))
+    state = state._replace(displacement=jnp.zeros_like(state.displacement))
+    if state.spring is not None:
+        state = state._replace(spring=jnp.asarray(carry_springs(network, new, np.asarray(state.spring))))
+    return now, new, surface, state
 
 
 def _wave_speed(params: Params, network: Network):
@@ -278,6 +362,10 @@ def _areas(membrane, network, state):
     return cell_areas(membrane, network.positions + state.displacement, state.platens[0], state.platens[1])
 
 
+def _stale(membrane, network, state):
+    return stale_cells(membrane, network.positions + state.displacement, state.platens[0], state.platens[1])
+
+
 @partial(jax.jit, static_argnums=(0, 1))
 def _shear(scene: Scene, protocol: Protocol, numbers, params: Params, state: State, first_areas):
     """Shear on from a state: the state after all blocks, with the observation and the status before each block.
@@ -307,8 +395,7 @@ def _trouble(network: Network, membrane: Membrane, state: State, refresh: bool) 
     bits = jnp.where(jnp.isfinite(state.displacement).all() & jnp.isfinite(state.velocity).all(), 0, NOT_FINITE)
     bits |= jnp.where(2 * moved > network.skin, STALE_LIST, 0)
     if refresh:
-        stale = stale_cells(membrane, positions, state.platens[0], state.platens[1])
-        bits |= jnp.where(stale > 1e-3, STALE_CELLS, 0)
+        bits |= jnp.where(_stale(membrane, network, state) > STALE, STALE_CELLS, 0)
     inside = (positions[2] > state.platens[0]) & (positions[2] < state.platens[1]) & (rho < 1.5 * jnp.mean(outer))
     return bits | jnp.where(inside.all(), 0, ESCAPED)
 
@@ -331,7 +418,7 @@ def _simulate(scene: Scene, protocol: Protocol, numbers, params: Params) -> Curv
     return make_curve(seen, balance, status)
 
 
-def make_curve(seen: Observation, balance: Confinement, status: jax.Array) -> Curve:
+def make_curve(seen: Observation, balance: Confinement, status=0) -> Curve:
     """A curve from T observations, strains counted from the first."""
     volume = seen.membrane_radius**2 * seen.height
     return Curve(

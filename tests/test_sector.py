@@ -46,6 +46,11 @@ def turned(sector, motion, k):
     return Motion(*(sector.rotate(np.asarray(vectors), k) for vectors in motion))
 
 
+def rotation(angle):
+    """Matrix of a turn about z."""
+    return np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+
+
 def specimen_of(positions, radius=1.0, platens=FAR_PLATENS):
     count = positions.shape[1]
     return Specimen(positions, np.broadcast_to(radius, (count,)), *platens, np.ones(count, bool))
@@ -60,7 +65,12 @@ def motion_of(network, state):
     return Motion(*(np.asarray(v) for v in (network.positions + state.displacement, state.velocity, state.spin)))
 
 
-@partial(jax.jit, static_argnums=0)
+# Many small programs that run briefly: not worth optimising.
+jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+forces_on = jit(all_forces, static_argnums=0)
+
+
+@jit
 def advance(steps, params, network, trap, state):
     """Steps with fixed platens in a harmonic trap of stiffness trap (N,)."""
     step = make_step(SCENE, lambda params, state, dt, push, area: jnp.zeros(2))
@@ -108,8 +118,12 @@ def orbiting_pair(spin):
 class Record(NamedTuple):
     motion: Motion
     spring: np.ndarray  # (3, 2), of each ball's one contact
-    sliding: bool
     image: np.ndarray  # (2,), of each ball's neighbour
+    sliding: bool | None
+
+
+def is_sliding(params, network, state):
+    return bool(forces_on(SCENE, params, network, jnp.zeros(2), STEP, state).contacts.sliding.all())
 
 
 def orbit(sector, params, motion, first_turns):
@@ -129,13 +143,12 @@ def orbit(sector, params, motion, first_turns):
     for _ in range(BLOCKS):
         state = advance(BLOCK_STEPS, params, network, trap, state)
         motion = motion_of(network, state)
-        contacts = all_forces(SCENE, params, network, jnp.zeros(2), STEP, state).contacts
         records.append(
             Record(
                 turned(sector, motion, -turns),
                 sector.rotate(np.asarray(state.spring), -turns)[:, 0],
-                bool(contacts.sliding.all()),
                 np.asarray(network.image)[0],
+                is_sliding(params, network, state) if sector.order == 1 else None,
             )
         )
         # Bring the balls home. The pair moves as one, so that the list is still right after more than half the skin.
@@ -199,14 +212,13 @@ def test_pair_near_a_plane_feels_the_force_of_the_pair_turned_into_the_interior(
         np.testing.assert_array_equal(np.asarray(network.image), [expected_image])
         springs = sector.rotate(np.stack([spring, -spring], axis=1), np.asarray(first_turns))
         state = state_of(network, motion, FAR_PLATENS)._replace(spring=jnp.asarray(springs[:, None]))
-        forces = all_forces(SCENE, PARAMS, network, jnp.zeros(2), STEP, state)
+        forces = forces_on(SCENE, PARAMS, network, jnp.zeros(2), STEP, state)
         vectors = forces.resultant, forces.moment, forces.contacts.spring[:, 0]
         return [sector.rotate(np.asarray(vector), -np.asarray(first_turns)) for vector in vectors]
 
     home = sector.home_image(motion.positions)
     assert home[0] != home[1]
-    cos, sin = np.cos(sector.angle / 2), np.sin(sector.angle / 2)
-    half = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    half = rotation(sector.angle / 2)
     inside = response(Motion(*(half @ vectors for vectors in motion)), [0, 0], half @ spring, [0, 0])
     across = response(motion, home, spring, (home - home[::-1]) % order)
     for found, expected in zip(across, inside, strict=True):
@@ -222,27 +234,35 @@ def pressed_octagon(radius=1.0):
 
 
 @pytest.mark.parametrize("order", [1, 2, 4])
-def test_rigid_swirl_makes_no_force(order):
-    """A specimen that spins rigidly about its axis, dashpots and friction on, feels the forces of one at rest; turned
-    by any angle, the same forces turned. Images that were mirrored would collide with the swirl."""
-    sector = Sector(order)
+@pytest.mark.parametrize("friction", [False, True])
+def test_rigid_swirl_makes_no_force(order, friction):
+    """A pressed specimen that spins rigidly about its axis feels the forces of one at rest, turned with it.
+
+    Images that were mirrored would collide with the swirl. With friction the ends of the two radii of an
+    overlapping contact part at the rate overlap * swirl, which is all the slip there may be.
+    """
+    sector, scene = Sector(order), Scene(friction=friction)
     network = build_network(cut_to_sector(pressed_octagon(), sector), sector)
     positions = np.asarray(network.positions)
     rate, angle = 0.1, 0.02
-    cos, sin = np.cos(angle), np.sin(angle)
-    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    turn = rotation(angle)
     axis = np.array([[0.0], [0.0], [1.0]])
-    rest = initial_state(network, SCENE, jnp.array([-9.0, 9.0]))
+    rest = initial_state(network, scene, jnp.array([-9.0, 9.0]))
     swirl = rest._replace(
         displacement=jnp.asarray(turn @ positions - positions),
         velocity=jnp.asarray(rate * np.cross(axis, turn @ positions, axis=0)),
-        spin=jnp.asarray(rate * axis * np.ones_like(positions)),
+        spin=jnp.asarray(rate * axis * np.ones_like(positions)) if friction else None,
     )
     areas = jnp.zeros(positions.shape[1])
-    expected, found = (all_forces(SCENE, PARAMS, network, areas, STEP, state) for state in (rest, swirl))
+    expected, found = (forces_on(scene, PARAMS, network, areas, STEP, state) for state in (rest, swirl))
     assert np.abs(expected.resultant).max() > 1e-3
-    np.testing.assert_allclose(found.resultant, turn @ np.asarray(expected.resultant), rtol=0, atol=1e-14)
-    np.testing.assert_allclose(found.moment, 0, atol=1e-14)
+    overlap = 0.01  # of two balls
+    viscosity = 2 * PARAMS.damping_ratio * np.sqrt(PARAMS.shear_stiffness / 2)
+    slack = 12 * (PARAMS.shear_stiffness * STEP + viscosity) * rate * overlap if friction else 0.0
+    assert slack < 0.2 * viscosity * rate * 2, "far below what a slip at a ball's own swirl would give"
+    np.testing.assert_allclose(found.resultant, turn @ np.asarray(expected.resultant), rtol=0, atol=1e-14 + slack)
+    if friction:
+        np.testing.assert_allclose(found.moment, 0, atol=1e-14 + slack)
 
 
 # Balls near the axis, and whole specimens, each against all n turned copies without a sector.
@@ -284,7 +304,7 @@ def polar(*balls):
     return np.stack([rho * np.cos(np.deg2rad(theta)), rho * np.sin(np.deg2rad(theta)), z])
 
 
-@pytest.mark.parametrize("order", [3, 4, 6])
+@pytest.mark.parametrize("order", [3, 6])
 def test_ball_protruding_from_both_planes(order):
     """Type B: it presses on its own two neighbouring images, and on other balls across either plane."""
     sector = Sector(order)
@@ -297,7 +317,7 @@ def test_ball_protruding_from_both_planes(order):
     assert_moves_as_full_cylinder(specimen, sector, 60)
 
 
-@pytest.mark.parametrize("order", [2, 3, 5])
+@pytest.mark.parametrize("order", [2, 5])
 def test_balls_with_their_centre_on_the_axis(order):
     """Type F: two of them stacked on the axis meet each other once, each neighbour under all n images, and stay there."""
     sector = Sector(order)
@@ -322,9 +342,9 @@ def test_ball_that_touches_its_own_image_at_180_degrees():
 def test_ball_that_touches_all_its_images_at_once():
     """Soft balls pushed far into one another at the axis of a quarter: the image at 180 degrees counts too."""
     sector = Sector(4)
-    specimen = specimen_of(polar((0.9, 40, 0), (0.95, 10, 1.2)))
+    specimen = specimen_of(polar((0.8, 40, 0), (0.75, 10, 1.2)))
     assert contact_images(specimen, sector, 0, 0, largest_overlap=2.0) == [1, 2, 3]
-    assert 2 in contact_images(specimen, sector, 0, 1, largest_overlap=2.0)
+    assert contact_images(specimen, sector, 0, 1, largest_overlap=2.0) == [0, 1, 2, 3]
     assert_moves_as_full_cylinder(specimen, sector, 8, skin=4.0, largest_overlap=2.0)
 
 
@@ -344,14 +364,14 @@ def test_any_choice_of_representatives_runs_identically(order):
     on_axis = sector.on_axis(specimen.positions, specimen.radius)
     allowed = np.where(on_axis, [[0.0], [0.0], [1.0]], 1.0)
     start = Motion(specimen.positions, *(0.01 * allowed * rng.normal(size=(2, 3, len(specimen)))))
-    expected = moved(specimen, sector, start, 200)
-    for _ in range(2):
-        k = rng.integers(order, size=len(specimen))
-        start_turned = turned(sector, start, k)
-        other = replace(specimen, positions=start_turned.positions)
-        network = build_network(other, sector)
-        assert len(np.unique(np.asarray(network.image))) == order
-        assert_same(turned(sector, moved(other, sector, start_turned, 200), -k), expected)
+    run = partial(moved, sector=sector, steps=60, skin=3.0)
+    expected = run(specimen, motion=start)
+    assert np.linalg.norm(expected.velocity - start.velocity, axis=0).min() > 1e-4, "every ball must feel something"
+    k = rng.integers(order, size=len(specimen))
+    start_turned = turned(sector, start, k)
+    other = replace(specimen, positions=start_turned.positions)
+    assert len(np.unique(np.asarray(build_network(other, sector, skin=0.1).image))) == order
+    assert_same(turned(sector, run(other, motion=start_turned), -k), expected)
 
 
 def crowded(order, rng):

@@ -1,0 +1,108 @@
+"""The command line: `axijax table1`. Heavy imports happen inside the commands, so that --help is quick."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Differentiable discrete element triaxial tests on an axisymmetric sector.",
+)
+
+
+@app.callback()
+def common() -> None:
+    """Differentiable discrete element triaxial tests on an axisymmetric sector."""
+
+
+@app.command()
+def table1(
+    output: Annotated[Path, typer.Option(help="Folder for the table, the curves and the figures.")] = Path("table1"),
+) -> None:
+    """Run the seven triaxial tests of Cui & O'Sullivan (2005), Table 1, and draw their figure 4.
+
+    Writes table1.csv, curves.nc (all curves, NetCDF), figure_4a.png and figure_4b.png into the output folder.
+    Takes about half a minute on two cores.
+    """
+    import time
+
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from axijax import table1 as paper
+    from axijax.results import writable_folder
+
+    started = time.perf_counter()
+    folder = writable_folder(output)
+    console = Console()
+    columns = (
+        TextColumn("{task.description:28}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %  R = {task.fields[ratio]:.3f}"),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
+        tasks = {run: bars.add_task(run.name, total=1.0, ratio=1.0, start=False) for run in paper.PAPER_RUNS}
+
+        def advance(run: paper.PaperRun, done: float, ratio: float) -> None:
+            if not bars.tasks[tasks[run]].started:
+                bars.start_task(tasks[run])
+            bars.update(tasks[run], completed=done, ratio=ratio)
+
+        def tell(row: paper.Row) -> None:
+            if not console.is_terminal:
+                print(f"{row.paper_run.name}: peak {row.values()['peak_ratio']:.4f} in {row.seconds:.1f} s", flush=True)
+
+        rows = paper.run_table(progress=advance, finished=tell)
+    written = paper.save(rows, folder)
+    console.print(_table(rows))
+    for note in paper.NOTES:
+        console.print(f"- {note}", highlight=False)
+    worst = max(float(max(row.run.curve.confinement[:2])) for row in rows)
+    console.print(
+        f"Confined to an unbalanced force and a stress error below {worst:.0e} each; "
+        f"{time.perf_counter() - started:.1f} s in all."
+    )
+    console.print("Written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
+
+
+def _table(rows):
+    from rich.table import Table
+
+    table = Table(title="Peak stress ratio s1/s3, FCC octagon of 1672 balls (Cui & O'Sullivan 2005, Table 1)")
+    heads = ("boundary", "n", "f", "theory", "paper", "peak", "vs theory", "vs paper", "core", "virial")
+    for head in (*heads, "strain at peak", "paper's", "unbalanced", "seconds"):
+        table.add_column(head, justify="left" if head == "boundary" else "right")
+    for row in rows:
+        values = row.values()
+        peak = values["peak_ratio"]
+        table.add_row(
+            values["boundary"],
+            str(values["sectors"]),
+            f"{values['friction']:g}",
+            f"{values['theory']:.3f}",
+            f"{values['paper']:.2f}",
+            f"{peak:.3f}",
+            f"{100 * (peak / values['theory'] - 1):+.1f} %",
+            f"{100 * (peak / values['paper'] - 1):+.1f} %",
+            f"{values['core_ratio']:.3f}",
+            f"{values['virial_ratio']:.3f}",
+            f"{100 * values['axial_strain_at_peak']:.2f} %",
+            f"{100 * row.paper_run.paper_strain:.2f} %",
+            f"{float(row.run.curve.unbalanced_force.max()):.0e}",
+            f"{values['seconds']:.1f}",
+        )
+    return table
+
+
+def main() -> None:
+    """Entry point: a mistake of the user's, or a run that went wrong, ends in one sentence and exit code 1."""
+    try:
+        app()
+    except (ValueError, RuntimeError, OSError) as error:
+        print(f"axijax: {error}", file=sys.stderr)
+        sys.exit(1)

@@ -1,0 +1,133 @@
+"""Pictures, with matplotlib (imported on first use of this module)."""
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.collections import EllipseCollection
+from matplotlib.figure import Figure
+
+from axijax.results import write_whole
+from axijax.triaxial import Run, TriaxialTest
+
+FRICTION_COLOURS = {0.05: "#2a9d8f", 0.12278: "#1d3557", 0.2: "#e9a23b", 0.3: "#c1440e"}
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG, whole or not at all."""
+    write_whole(path, lambda target: figure.savefig(target, dpi=150, bbox_inches="tight"))
+
+
+def stress_ratio_figure(rows) -> Figure:
+    """Stress ratio against axial strain of Table 1's runs, like figure 4(a) of the paper, with Thornton's lines."""
+    figure = Figure(figsize=(8, 5.5))
+    axes = figure.add_subplot()
+    styles = {"periodic": "-", "rigid": "--", "full": ":"}
+    for row in rows:
+        run, curve = row.paper_run, row.run.curve
+        colour = FRICTION_COLOURS.get(run.friction, "black")
+        label = {
+            "periodic": f"quarter, periodic planes, f = {run.friction:g}",
+            "rigid": f"quarter, rigid planes, f = {run.friction:g}",
+            "full": f"full cylinder, f = {run.friction:g}",
+        }[run.boundary]
+        full = run.boundary == "full"
+        axes.plot(
+            100 * np.asarray(curve.axial_strain), curve.stress_ratio, styles[run.boundary],
+            color="#e63946" if full else colour, lw=2.2 if full else 1.6, label=label, zorder=3 if full else 2,
+        )  # fmt: skip
+        values = row.values()
+        axes.plot(
+            100 * run.paper_strain, run.paper, "o" if run.boundary == "periodic" else "s",
+            color=colour, mfc="white" if run.boundary != "periodic" else colour, ms=6, zorder=4,
+        )  # fmt: skip
+        if run.boundary == "periodic":
+            axes.axhline(values["theory"], color=colour, lw=0.8, alpha=0.6)
+            axes.text(0.985, values["theory"] + 0.02, f"Thornton, f = {run.friction:g}", color=colour, size=8, ha="right")
+    axes.plot([], [], "o", color="grey", label="paper's peaks (open squares: rigid planes, full system)")
+    axes.set(
+        xlim=(0, 1), ylim=(1, 4), xlabel="axial strain [%]", ylabel="stress ratio s1/s3 [-]",
+        title="FCC specimen, triaxial compression (Cui & O'Sullivan 2005, figure 4a)",
+    )  # fmt: skip
+    axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
+    axes.grid(alpha=0.3)
+    return figure
+
+
+def local_shear(test: TriaxialTest, displacement: np.ndarray) -> np.ndarray:
+    """How far each ball has moved against its first neighbours, the largest relative displacement over a diameter; (N,)."""
+    network = test.network
+    neighbour, image = np.asarray(network.neighbor), np.asarray(network.image)
+    turned = test.sector.rotate(displacement[:, np.maximum(neighbour, 0)], image)
+    relative = np.linalg.norm(displacement[:, None] - turned, axis=0)
+    return np.where(neighbour >= 0, relative, 0.0).max(axis=0) / (2 * test.cut.radius)
+
+
+def deformed_figure(test: TriaxialTest, run: Run) -> Figure:
+    """The deformed specimen, like figure 4(b) of the paper: from outside, in section through the axis, and in plan.
+
+    The sector's images are filled in. Colour: displacement relative to the first neighbours, which draws the shear
+    planes; ringed balls carry the membrane; dashed lines are the sector planes.
+    """
+    sector = test.sector
+    displacement = run.positions - test.cut.positions
+    shear = local_shear(test, displacement)
+    turns = np.repeat(np.arange(sector.images), len(test.cut))
+    balls = np.tile(np.arange(len(test.cut)), sector.images)
+    once = (turns == 0) | ~sector.on_axis(test.cut.positions, test.cut.radius)[balls]
+    balls, turns = balls[once], turns[once]
+    x, y, z = sector.rotate(run.positions[:, balls], turns)
+    moved = sector.rotate(displacement[:, balls], turns)
+    value, radius, zone = shear[balls], test.cut.radius[balls], test.cut.membrane_zone[balls]
+    bottom, top = (float(height) for height in run.state.platens)
+    unit = float(test.cut.radius.mean())
+    colours = matplotlib.colors.Normalize(0.0, max(float(np.quantile(shear, 0.98)), 1e-12))
+    curve = run.curve
+
+    figure = Figure(figsize=(13, 6.4))
+    outside, section, plan = figure.subplots(1, 3, width_ratios=(1, 1, 1))
+    views = (
+        (outside, np.ones(x.size, bool), x, z, y, "from outside"),
+        (section, np.abs(y) < 0.6 * unit, x, z, y, "section through the axis"),
+        (plan, np.abs(z - (bottom + top) / 2) < 1.2 * unit, x, y, z, "plan of the two middle layers"),
+    )
+    for axes, shown, across, up, depth, title in views:
+        order = np.flatnonzero(shown)
+        order = order[np.argsort(-depth[order] if axes is not plan else depth[order])]
+        size = 2 * radius[order] / unit
+        circles = EllipseCollection(
+            size, size, np.zeros(order.size), units="xy", transOffset=axes.transData,
+            offsets=np.stack([across[order], up[order]], axis=1) / unit,
+            edgecolors=np.where(zone[order], "black", "0.6"), linewidths=np.where(zone[order], 1.1, 0.3),
+            cmap="YlOrRd", norm=colours,
+        )  # fmt: skip
+        circles.set_array(value[order])
+        axes.add_collection(circles)
+        axes.set(aspect="equal", title=title, xlabel="x / r")
+    for axes in (outside, section):
+        for height in (bottom, top):
+            axes.axhline(height / unit, color="0.2", lw=3)
+        axes.set(xlim=(-12.5, 12.5), ylim=(bottom / unit - 1, top / unit + 1), ylabel="z / r")
+    lines = np.flatnonzero(np.abs(y) < 0.6 * unit)
+    section.quiver(
+        x[lines] / unit, z[lines] / unit, moved[0][lines] / unit, moved[2][lines] / unit,
+        angles="xy", scale_units="xy", scale=1, width=0.003, color="#1d3557",
+    )  # fmt: skip
+    reach = 12.0
+    for k in range(sector.order):
+        angle = k * sector.angle
+        plan.plot([0, reach * np.cos(angle)], [0, reach * np.sin(angle)], "--", color="#1d3557", lw=1)
+    ring = np.linspace(0, 2 * np.pi, 181)
+    membrane = float(curve.membrane_radius[-1]) / unit
+    plan.plot(membrane * np.cos(ring), membrane * np.sin(ring), color="#2a9d8f", lw=1, label="membrane radius Rm")
+    plan.legend(loc="lower right", fontsize=8)
+    plan.set(xlim=(-12.5, 12.5), ylim=(-12.5, 12.5), ylabel="y / r")
+    figure.colorbar(
+        matplotlib.cm.ScalarMappable(colours, "YlOrRd"), ax=[outside, section, plan], shrink=0.8, pad=0.02,
+        label="displacement relative to first neighbours / ball diameter",
+    )  # fmt: skip
+    figure.suptitle(
+        f"Deformed specimen, f = {float(test.params.friction):g}, axial strain {100 * float(curve.axial_strain[-1]):.1f} %"
+        f" (arrows: displacement; ringed: membrane zone; dashed: sector planes)"
+    )
+    return figure

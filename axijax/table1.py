@@ -1,0 +1,147 @@
+"""Table 1 and figure 4 of Cui & O'Sullivan (2005): seven triaxial tests on the FCC octagon of 1672 balls."""
+
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from axijax import theory
+from axijax.packing import fcc_octagon
+from axijax.results import curves_dataset, save_dataset, save_table
+from axijax.sector import Sector
+from axijax.triaxial import Run, TriaxialTest
+
+COLUMNS = (
+    "boundary", "sectors", "friction", "theory", "paper", "peak_ratio", "core_ratio", "virial_ratio",
+    "axial_strain_at_peak", "seconds",
+)  # fmt: skip
+
+# Where the tests stop; the deformed specimen of figure 4(b) is drawn at 5 %, as in the paper.
+AXIAL_STRAIN, DEFORMED_STRAIN = 0.01, 0.05
+
+
+@dataclass(frozen=True)
+class PaperRun:
+    """One row of the paper's Table 1: what was run and what was found."""
+
+    boundary: str
+    sectors: int
+    friction: float
+    paper: float
+    paper_strain: float
+
+    @property
+    def name(self) -> str:
+        return f"{self.boundary} n={self.sectors} f={self.friction:g}"
+
+    @property
+    def theory(self) -> float:
+        return float(theory.fcc_stress_ratio(self.friction))
+
+
+PAPER_RUNS = (
+    PaperRun("periodic", 4, 0.05, 2.09, 0.0059),
+    PaperRun("periodic", 4, 0.12278, 2.46, 0.0057),
+    PaperRun("periodic", 4, 0.2, 2.92, 0.0055),
+    PaperRun("periodic", 4, 0.3, 3.64, 0.0062),
+    PaperRun("rigid", 4, 0.12278, 2.10, 0.0089),
+    PaperRun("rigid", 4, 0.3, 3.25, 0.0084),
+    PaperRun("full", 1, 0.12278, 2.50, 0.0050),
+)
+DEFORMED = PAPER_RUNS[1]
+
+NOTES = (
+    "Rigid planes, f = 0.3: the paper prints 3.25 beside a difference of 23.6 %, but 3.25 is 12.5 % below 3.71; "
+    "23.6 % below would be 2.84. This program supports the percentage.",
+    "Full system: the paper fixed its membrane forces before the test; here they follow the specimen as in the "
+    "quarter, of which it is then the same trajectory by symmetry.",
+    "Strain at peak: the curve is flat there (within 0.3 % of the peak over about 0.15 % of strain).",
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A finished run beside the paper's."""
+
+    paper_run: PaperRun
+    test: TriaxialTest
+    run: Run
+    seconds: float
+
+    def values(self) -> dict[str, object]:
+        """The row of table1.csv: peaks are maxima over the records up to 1 % axial strain."""
+        curve, paper = self.run.curve, self.paper_run
+        strain = np.asarray(curve.axial_strain)
+        early = strain <= AXIAL_STRAIN
+        peak = int(np.argmax(np.where(early, curve.stress_ratio, -np.inf)))
+        return {
+            "boundary": paper.boundary,
+            "sectors": paper.sectors,
+            "friction": paper.friction,
+            "theory": round(paper.theory, 6),
+            "paper": paper.paper,
+            "peak_ratio": round(float(curve.stress_ratio[peak]), 6),
+            "core_ratio": round(float(np.max(np.asarray(curve.core_ratio)[early])), 6),
+            "virial_ratio": round(float(np.max(np.asarray(curve.virial_ratio)[early])), 6),
+            "axial_strain_at_peak": round(float(strain[peak]), 6),
+            "seconds": round(self.seconds, 2),
+        }
+
+
+def make_test(paper_run: PaperRun) -> TriaxialTest:
+    """The test behind one row; the quarter's f = 0.12278 goes on to the strain of figure 4(b)."""
+    boundary = "rigid" if paper_run.boundary == "rigid" else "periodic"
+    test = TriaxialTest(
+        fcc_octagon(),
+        Sector(paper_run.sectors, boundary),
+        axial_strain=DEFORMED_STRAIN if paper_run is DEFORMED else AXIAL_STRAIN,
+    )
+    return replace(test, params=replace(test.params, friction=paper_run.friction))
+
+
+def run_table(
+    paper_runs: Sequence[PaperRun] = PAPER_RUNS,
+    progress: Callable[[PaperRun, float, float], None] = lambda run, done, ratio: None,
+    finished: Callable[[Row], None] = lambda row: None,
+    workers: int = 2,
+) -> list[Row]:
+    """Run the tests, longest first, `workers` at a time (one small test keeps one core busy); in the paper's order.
+
+    progress: called with the run, the share done and the stress ratio; finished: with each row as it ends.
+    """
+
+    def work(paper_run: PaperRun) -> Row:
+        started = time.perf_counter()
+        test = make_test(paper_run)
+        run = test.run(progress=lambda strain, ratio: progress(paper_run, min(strain / test.axial_strain, 1.0), ratio))
+        row = Row(paper_run, test, run, time.perf_counter() - started)
+        finished(row)
+        return row
+
+    longest_first = sorted(paper_runs, key=lambda run: (run is not DEFORMED, run.boundary != "full", run.boundary))
+    with ThreadPoolExecutor(workers) as pool:
+        rows = list(pool.map(work, longest_first))
+    return sorted(rows, key=lambda row: paper_runs.index(row.paper_run))
+
+
+def save(rows: Sequence[Row], folder: Path) -> list[Path]:
+    """Write table1.csv, curves.nc, figure_4a.png and figure_4b.png into a folder; the paths written."""
+    from axijax import plot
+
+    paths = [folder / name for name in ("table1.csv", "curves.nc", "figure_4a.png", "figure_4b.png")]
+    save_table(paths[0], COLUMNS, [row.values() for row in rows])
+    labels = {
+        "boundary": [row.paper_run.boundary for row in rows],
+        "sectors": [row.paper_run.sectors for row in rows],
+        "friction": [row.paper_run.friction for row in rows],
+    }
+    title = {"title": "Triaxial tests of Cui & O'Sullivan (2005), Table 1", "source": "axijax table1"}
+    save_dataset(curves_dataset({row.paper_run.name: row.run.curve for row in rows}, labels, title), paths[1])
+    plot.save_figure(plot.stress_ratio_figure(rows), paths[2])
+    for row in rows:
+        if row.paper_run is DEFORMED:
+            plot.save_figure(plot.deformed_figure(row.test, row.run), paths[3])
+    return [path for path in paths if path.exists()]

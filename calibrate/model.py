@@ -1,0 +1,179 @@
+"""A simulator seen by a fit: coordinates in, a curve and its tangents out, every run counted and timed.
+
+The simulator is anything with `params` (as axijax.dynamics.Params) and a pure `simulate(params)` that returns the fields
+axial_strain, stress_ratio and so on of `axijax.triaxial.Curve` with a status; `TriaxialTest` is the real one.
+"""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from calibrate.parameters import ParameterSet
+
+FIELDS = ("axial_strain", "stress_ratio", "virial_ratio", "core_ratio", "volumetric_strain")
+
+
+class RunFailed(RuntimeError):
+    """A run that gave no usable curve; the message says why."""
+
+
+@dataclass
+class Cost:
+    """What has been spent: runs for a value, passes for value and tangents, seconds on each, forward equivalents.
+
+    forward_equivalents: runs, with a pass of value and n tangents counted as 1 + n * tangent_cost.
+    """
+
+    runs: int = 0
+    passes: int = 0
+    tangents: int = 0
+    run_seconds: float = 0.0
+    pass_seconds: float = 0.0
+    tangent_cost: float = 1.0
+
+    @property
+    def forward_equivalents(self) -> float:
+        return self.runs + self.passes + self.tangent_cost * self.tangents
+
+
+@dataclass
+class Model:
+    """Curves of a simulator over P named parameters.
+
+    simulator: see the module; parameters: made by ParameterSet.of, or names.
+    hold_time_step: as in ParameterSet.params.
+    tangent_cost: what one tangent costs in runs, for the count [-]; measure it with `measure_tangent_cost`.
+    """
+
+    simulator: object
+    parameters: ParameterSet | Sequence[str] | str
+    hold_time_step: bool = True
+    tangent_cost: float = 1.0
+    cost: Cost = field(init=False)
+
+    def __post_init__(self):
+        if not isinstance(self.parameters, ParameterSet):
+            self.parameters = ParameterSet.of(self.simulator.params, self.parameters)
+        self._check_stiffest()
+        self.cost = Cost(tangent_cost=self.tangent_cost)
+        self._value = jax.jit(self.curve)
+        self._pass = jax.jit(self._value_and_tangents)
+
+    def _check_stiffest(self):
+        softer_only = ("normal_stiffness", "shear_stiffness")
+        for name, upper in zip(self.parameters.names, self.parameters.upper, strict=True):
+            reference = self.parameters.reference[name]
+            if not self.hold_time_step and name in softer_only and upper > reference * (1 + 1e-9):
+                raise ValueError(
+                    f"upper bound of {name} = {upper:g} is above the test's own {reference:g}, for which its time step "
+                    "was chosen: build the test with the stiffest value allowed, or keep hold_time_step."
+                )
+
+    def params(self, coordinates):
+        """Params of these (P,) coordinates."""
+        return self.parameters.params(self.simulator.params, coordinates, self.hold_time_step)
+
+    def curve(self, coordinates):
+        """Fields of the curve as a dict with `status`, pure and traceable."""
+        run = self.simulator.simulate(self.params(coordinates))
+        return {name: jnp.asarray(getattr(run, name)) for name in FIELDS if hasattr(run, name)} | {
+            "status": jnp.asarray(getattr(run, "status", 0))
+        }
+
+    def _value_and_tangents(self, coordinates, directions):
+        def outputs(z):
+            fields = self.curve(z)
+            return fields, fields.pop("status")
+
+        def one(direction):
+            fields, tangents, status = jax.jvp(outputs, (coordinates,), (direction,), has_aux=True)
+            return (fields, status), tangents
+
+        if directions.shape[0] == 1:  # no batch axis, which would only cost
+            (fields, status), tangents = one(directions[0])
+            return fields | {"status": status}, {name: value[None] for name, value in tangents.items()}
+        # The value does not depend on the direction, so it is computed once.
+        (fields, status), tangents = jax.vmap(one, out_axes=(None, 0))(directions)
+        return fields | {"status": status}, tangents
+
+    def run(self, coordinates) -> SimpleNamespace:
+        """The curve at (P,) coordinates, as NumPy arrays. Raises RunFailed where the run is not sound."""
+        start = time.perf_counter()
+        fields = self._finished(self._value, jnp.asarray(coordinates, float))
+        self.cost.runs += 1
+        self.cost.run_seconds += time.perf_counter() - start
+        return self._sound(fields)
+
+    def run_with_tangents(self, coordinates, directions=None) -> tuple[SimpleNamespace, SimpleNamespace]:
+        """The curve and its tangents in one pass: fields of (T,) and of (D, T).
+
+        directions: (D, P) in coordinates; None takes one along each parameter. Raises RunFailed like `run`; tangents
+        that are not finite are returned as they are.
+        """
+        directions = np.eye(len(self.parameters)) if directions is None else np.asarray(directions, float)
+        start = time.perf_counter()
+        fields, tangents = self._finished(self._pass, jnp.asarray(coordinates, float), jnp.asarray(directions))
+        self.cost.passes += 1
+        self.cost.tangents += len(directions)
+        self.cost.pass_seconds += time.perf_counter() - start
+        return self._sound(fields), SimpleNamespace(**tangents)
+
+    @staticmethod
+    def _finished(function, *arguments):
+        return jax.tree.map(np.asarray, jax.block_until_ready(function(*arguments)))
+
+    @staticmethod
+    def _sound(fields: Mapping[str, np.ndarray]) -> SimpleNamespace:
+        curve = SimpleNamespace(**fields)
+        status = int(curve.status)
+        if status or not np.isfinite(curve.stress_ratio).all():
+            raise RunFailed(f"the run ended with status {status}" + ("" if status else " and a stress ratio that is not finite"))
+        return curve
+
+    def measure_tangent_cost(self, coordinates=None, repeats: int = 3) -> float:
+        """Cost of one tangent in runs, (pass - run) / (run * tangents), from alternating timed runs; stored [-]."""
+        z = self.parameters.coordinates() if coordinates is None else np.asarray(coordinates, float)
+        directions = np.eye(len(self.parameters))
+        plain, full = [], []
+        for _ in range(repeats + 1):  # the first compiles
+            for times, call in ((plain, lambda: self._finished(self._value, jnp.asarray(z))),
+                                (full, lambda: self._finished(self._pass, jnp.asarray(z), jnp.asarray(directions)))):
+                start = time.perf_counter()
+                call()
+                times.append(time.perf_counter() - start)
+        value = float(np.median(plain[1:]))
+        self.cost.tangent_cost = max(0.0, (float(np.median(full[1:])) - value) / value / len(directions))
+        return self.cost.tangent_cost
+
+
+def jacobian_of(target, curve, tangents) -> tuple[np.ndarray, np.ndarray]:
+    """(M,) prediction of a target and its (M, D) derivatives, from a curve and the tangents of D directions."""
+    names = [name for name in FIELDS if hasattr(tangents, name)]
+    primal = {name: jnp.asarray(getattr(curve, name)) for name in names}
+
+    def predict(fields):
+        return target.predict(SimpleNamespace(**fields))
+
+    value, push = jax.linearize(predict, primal)
+    columns = [push({name: jnp.asarray(getattr(tangents, name)[d]) for name in names}) for d in range(len(tangents.stress_ratio))]
+    return np.asarray(value), np.stack([np.asarray(column) for column in columns], axis=1)
+
+
+def stretch_tangent(curve) -> SimpleNamespace:
+    """d(curve)/d(log kn) at fixed ks/kn without a tangent run, fields of (1, T): R(eps; c kn) = R(c eps; kn), hence
+    eps dR/d(eps); the volumetric strain scales as 1/c itself. Quasi-static, small strain (PHYSICS 3.3): what changes
+    the geometry, such as the softening after the peak, does not stretch, so use it before and around the peak."""
+    strain = curve.axial_strain
+    fields = {"axial_strain": np.zeros_like(strain)[None]}
+    for name in ("stress_ratio", "virial_ratio", "core_ratio"):
+        if hasattr(curve, name):
+            fields[name] = (strain * np.gradient(getattr(curve, name), strain))[None]
+    if hasattr(curve, "volumetric_strain"):
+        volume = curve.volumetric_strain
+        fields["volumetric_strain"] = (strain * np.gradient(volume, strain) - volume)[None]
+    return SimpleNamespace(**fields)
