@@ -5,113 +5,212 @@ where the spring is the slip summed up over the life of the contact, kept in the
 capped at friction * normal force and the spring is scaled by the same factor (Cundall & Strack 1979; Luding 2008).
 Stiffnesses are the contact's, not the ball's. Dashpots c = 2 * beta * sqrt(k * m*), with m* the reduced mass of
 the pair, m/2 for two equal balls.
+
+`frictional_law` carries its own derivative: written out by hand it shares the intermediate results of the value, and a
+tangent costs little more than the value does.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
 
-from axijax.neighbors import Network, image_table
+from axijax.neighbors import Network
+from axijax.vector import Vector
+
+
+class Law(NamedTuple):
+    """Constants of the linear law; numbers or (C,) arrays. Viscosities are None without dashpots.
+
+    normal_stiffness, shear_stiffness [F/L]; friction [-]; normal_viscosity, shear_viscosity [F T/L].
+    """
+
+    normal_stiffness: jax.Array
+    shear_stiffness: jax.Array
+    friction: jax.Array
+    normal_viscosity: jax.Array | None
+    shear_viscosity: jax.Array | None
 
 
 class Contacts(NamedTuple):
-    """What the law makes of every entry of the contact list; component-major arrays.
+    """What the law makes of every contact; (C,) arrays in the frame of the contact's first ball.
 
-    normal: (3, K, N) unit vector from the neighbour to the ball [-].
-    normal_force: (K, N) repulsion [F].
-    tangential_force: (3, K, N) force on the ball along the contact plane [F]; None without friction.
-    spring: (3, K, N) tangential spring after this step [L]; None without friction.
-    sliding: (K, N) bool, the Coulomb cap acts; None without friction.
-    overlap: (K, N) overlap, negative for a gap [L].
+    force: on the first ball [F].
+    moment_arm: normal x tangential force; times its radius the moment on either ball [F]. None without friction.
+    spring: tangential spring after this step [L]; None without friction.
     """
 
-    normal: jax.Array
-    normal_force: jax.Array
-    tangential_force: jax.Array | None
-    spring: jax.Array | None
-    sliding: jax.Array | None
+    force: Vector
+    moment_arm: Vector | None
+    spring: Vector | None
+
+
+class Geometry(NamedTuple):
+    """Where the two balls of every contact are; (C,).
+
+    apart: vector from the second ball to the first [L].
+    overlap: positive where they touch [L]. Found from the change since the list was built, so that float32 does
+        not lose it in the difference of two large distances.
+    """
+
+    apart: Vector
     overlap: jax.Array
 
 
-def dot(a, b):
-    """Scalar product along the leading axis of two (3, ...) arrays."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+def geometry(network: Network, displacement: Vector) -> Geometry:
+    """Branch vectors and overlaps after the balls' displacement (N,) from the reference positions."""
+    change = network.of_first(displacement) - network.of_second(displacement)
+    apart = network.branch + change
+    distance = jnp.sqrt(apart.dot(apart))
+    longer = (2 * network.branch.dot(change) + change.dot(change)) / (distance + network.distance)
+    return Geometry(apart, network.overlap - longer)
 
 
-def cross(a, b):
-    """Vector product along the leading axis of two (3, ...) arrays."""
-    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-def gather(table, network: Network):
-    """Rows of a table of images at the entries of the contact list: (..., N + M) -> (..., K, N)."""
-    return table.at[..., network.column].get(mode="promise_in_bounds")
-
-
-def contact_law(params, network: Network, reduced_mass, dt, motion, spring, *, dashpots: bool) -> Contacts:
-    """Forces of all contacts on the balls of their columns.
-
-    params: needs normal_stiffness, shear_stiffness, friction, damping_ratio.
-    reduced_mass: () or (K, N) reduced mass m* of the pairs [M]; used by the dashpots.
-    dt: time step [T].
-    motion: (displacement, velocity, spin), (3, N) each; spin None for balls that do not rotate.
-    spring: (3, K, N) tangential springs [L], or None for frictionless contacts.
-    """
-    displacement, velocity, spin = motion
-    apart = network.branch + displacement[:, None] - gather(image_table(network, displacement), network)
-    distance = jnp.sqrt(dot(apart, apart))
-    normal = apart / distance
-    overlap = network.reach - distance
-    touching = overlap > 0
-
-    moving = spring is not None or dashpots
-    if moving:
-        relative = velocity[:, None] - gather(image_table(network, velocity), network)
-        normal_speed = dot(relative, normal)
-    normal_force = params.normal_stiffness * overlap
+def linear_law(params, network: Network, mass_per_cube, *, dashpots: bool) -> Law:
+    """Constants of all contacts from the parameters; mass_per_cube: ball mass over its radius cubed [M/L^3]."""
+    normal_viscosity = shear_viscosity = None
     if dashpots:
-        viscosity = 2 * params.damping_ratio * jnp.sqrt(params.normal_stiffness * reduced_mass)
-        normal_force = normal_force - viscosity * normal_speed
-    normal_force = jnp.where(touching & (normal_force > 0), normal_force, 0.0)
-    if spring is None:
-        return Contacts(normal, normal_force, None, None, None, overlap)
-
-    slip_rate = relative - normal_speed * normal
-    if spin is not None:
-        surface = network.radius * spin
-        slip_rate = slip_rate - cross(surface[:, None] + gather(image_table(network, surface), network), normal)
-    trial_spring = spring - dot(spring, normal) * normal + dt * slip_rate
-    trial = params.shear_stiffness * trial_spring
-    if dashpots:
-        viscosity = 2 * params.damping_ratio * jnp.sqrt(params.shear_stiffness * reduced_mass)
-        trial = trial + viscosity * slip_rate
-    size = dot(trial, trial)
-    moved = size > 0
-    size = jnp.sqrt(jnp.where(moved, size, 1.0))  # the tangent of sqrt at zero would be NaN
-    limit = contact_friction(params, network) * normal_force
-    sliding = moved & (size > limit)
-    scale = jnp.where(sliding, limit / size, jnp.where(touching, 1.0, 0.0))
-    return Contacts(normal, normal_force, -scale * trial, scale * trial_spring, sliding & touching, overlap)
+        reduced_mass = mass_per_cube * network.pair_cube
+        normal_viscosity = 2 * params.damping_ratio * jnp.sqrt(params.normal_stiffness * reduced_mass)
+        shear_viscosity = 2 * params.damping_ratio * jnp.sqrt(params.shear_stiffness * reduced_mass)
+    friction = contact_friction(params, network)
+    return Law(params.normal_stiffness, params.shear_stiffness, friction, normal_viscosity, shear_viscosity)
 
 
 def contact_friction(params, network: Network):
-    """Friction coefficient of each contact: the scene's, or the mean of the two balls' where it is per ball."""
+    """Friction coefficient of the contacts: the scene's, or the mean of the two balls' where it is given per ball [-]."""
     friction = params.friction
     if jnp.ndim(friction) == 0:
         return friction
-    return 0.5 * (friction + friction.at[jnp.maximum(network.neighbor, 0)].get(mode="promise_in_bounds"))
+    return 0.5 * (friction[network.first] + friction[network.second])
 
 
-def contact_force(contacts: Contacts) -> jax.Array:
-    """Whole force of every contact on its ball, (3, K, N) [F]."""
-    force = contacts.normal_force * contacts.normal
-    return force if contacts.tangential_force is None else force + contacts.tangential_force
+def contact_forces(law: Law, network: Network, dt, displacement, velocity, surface_speed, spring) -> Contacts:
+    """Forces of all contacts and their springs one step later.
+
+    displacement, velocity: (N,) [L], [L/T]. surface_speed: (N,) radius times spin [L/T]; None where nothing spins.
+    spring: (C,) [L]; None for frictionless contacts. dt: time step [T].
+    """
+    place = geometry(network, displacement)
+    if spring is None and law.normal_viscosity is None:
+        return Contacts(elastic_force(law, place), None, None)
+    approach = network.of_first(velocity) - network.of_second(velocity)
+    if spring is None:
+        return Contacts(frictionless_force(law, place, approach), None, None)
+    rolling = None
+    if surface_speed is not None:
+        rolling = network.of_first(surface_speed) + network.of_second(surface_speed)
+    return Contacts(*frictional_law(law, dt, place, approach, rolling, spring))
 
 
-def resultants(contacts: Contacts, network: Network, *, rotation: bool):
-    """Sum of the contact forces (3, N) [F] and of their moments about the centres (3, N) [F L] on each ball."""
-    force = contact_force(contacts).sum(axis=1)
-    if not rotation:
+def elastic_force(law: Law, place: Geometry) -> Vector:
+    """Force of a frictionless contact without dashpots."""
+    distance = jnp.sqrt(place.apart.dot(place.apart))
+    return place.apart * (law.normal_stiffness * jnp.maximum(place.overlap, 0.0) / distance)
+
+
+def frictionless_force(law: Law, place: Geometry, approach: Vector) -> Vector:
+    """Force of a frictionless contact with a dashpot."""
+    distance = jnp.sqrt(place.apart.dot(place.apart))
+    push = law.normal_stiffness * place.overlap - law.normal_viscosity * place.apart.dot(approach) / distance
+    return place.apart * (jnp.where((place.overlap > 0) & (push > 0), push, 0.0) / distance)
+
+
+def _evaluate(law: Law, dt, place: Geometry, approach: Vector, rolling: Vector | None, spring: Vector):
+    """The frictional law, and the intermediate results that its derivative shares."""
+    inverse = 1 / jnp.sqrt(place.apart.dot(place.apart))
+    normal = place.apart * inverse
+    normal_speed = approach.dot(normal)
+    slip_rate = approach - normal * normal_speed
+    if rolling is not None:
+        slip_rate = slip_rate - rolling.cross(normal)
+    push = law.normal_stiffness * place.overlap
+    if law.normal_viscosity is not None:
+        push = push - law.normal_viscosity * normal_speed
+    touching = place.overlap > 0
+    pressing = touching & (push > 0)
+    push = jnp.where(pressing, push, 0.0)
+    twist = spring.dot(normal)
+    trial_spring = spring - normal * twist + slip_rate * dt
+    trial = trial_spring * law.shear_stiffness
+    if law.shear_viscosity is not None:
+        trial = trial + slip_rate * law.shear_viscosity
+    square, limit = trial.dot(trial), law.friction * push
+    sliding = square > limit * limit
+    # The square root only where something slides: at a resting contact it would be 0/0, in value and tangent.
+    per_size = 1 / jnp.sqrt(jnp.where(sliding, square, 1.0))
+    scale = jnp.where(touching, jnp.where(sliding, limit * per_size, 1.0), 0.0)
+    force = normal * push - trial * scale
+    shared = (
+        inverse, normal, normal_speed, slip_rate, touching, pressing, push, twist, trial_spring, trial, sliding,
+        per_size, scale,
+    )  # fmt: skip
+    return (force, force.cross(normal), trial_spring * scale), shared
+
+
+@partial(jax.custom_jvp)
+def frictional_law(law: Law, dt, place: Geometry, approach: Vector, rolling: Vector | None, spring: Vector):
+    """Force and moment arm on the first ball, and the spring one step later; arguments as in `contact_forces`."""
+    return _evaluate(law, dt, place, approach, rolling, spring)[0]
+
+
+def _frictional_law_jvp(primals, tangents):
+    law, dt, place, approach, rolling, spring = primals
+    law_d, _, place_d, approach_d, rolling_d, spring_d = tangents  # x_d is the tangent of x; dt is held
+
+    def moving(tangent, primal):
+        return jax.tree.map(
+            lambda d, p: jnp.zeros_like(p) if isinstance(d, SymbolicZero) else d,
+            tangent, primal, is_leaf=lambda leaf: isinstance(leaf, SymbolicZero),
+        )  # fmt: skip
+
+    def plus(total, tangent, factor):
+        """total + tangent * factor, without the work where a parameter is not differentiated."""
+        return total if tangent is None or isinstance(tangent, SymbolicZero) else total + factor * tangent
+
+    def plus_vector(total: Vector, tangent, factor: Vector) -> Vector:
+        return total if tangent is None or isinstance(tangent, SymbolicZero) else total + factor * tangent
+
+    place_d, approach_d, spring_d = moving(place_d, place), moving(approach_d, approach), moving(spring_d, spring)
+    results, shared = _evaluate(*primals)
+    (
+        inverse, normal, normal_speed, slip_rate, touching, pressing, push, twist, trial_spring, trial, sliding,
+        per_size, scale,
+    ) = shared  # fmt: skip
+    force = results[0]
+    normal_d = (place_d.apart - normal * normal.dot(place_d.apart)) * inverse
+    normal_speed_d = approach_d.dot(normal) + approach.dot(normal_d)
+    slip_rate_d = approach_d - normal * normal_speed_d - normal_d * normal_speed
+    if rolling is not None:
+        slip_rate_d = slip_rate_d - moving(rolling_d, rolling).cross(normal) - rolling.cross(normal_d)
+    push_d = plus(law.normal_stiffness * place_d.overlap, law_d.normal_stiffness, place.overlap)
+    if law.normal_viscosity is not None:
+        push_d = plus(push_d - law.normal_viscosity * normal_speed_d, law_d.normal_viscosity, -normal_speed)
+    push_d = jnp.where(pressing, push_d, 0.0)
+    twist_d = spring_d.dot(normal) + spring.dot(normal_d)
+    trial_spring_d = spring_d - normal_d * twist - normal * twist_d + slip_rate_d * dt
+    trial_d = plus_vector(trial_spring_d * law.shear_stiffness, law_d.shear_stiffness, trial_spring)
+    if law.shear_viscosity is not None:
+        trial_d = plus_vector(trial_d + slip_rate_d * law.shear_viscosity, law_d.shear_viscosity, slip_rate)
+    limit_d = plus(law.friction * push_d, law_d.friction, push)
+    size_d = per_size * trial.dot(trial_d)
+    scale_d = jnp.where(sliding & touching, per_size * (limit_d - scale * size_d), 0.0)
+    force_d = normal_d * push + normal * push_d - trial_d * scale - trial * scale_d
+    return results, (
+        force_d,
+        force_d.cross(normal) + force.cross(normal_d),
+        trial_spring_d * scale + trial_spring * scale_d,
+    )
+
+
+frictional_law.defjvp(_frictional_law_jvp, symbolic_zeros=True)
+
+
+def resultants(contacts: Contacts, network: Network) -> tuple[Vector, Vector | None]:
+    """Sum of the contact forces [F] and of their moments about the centre [F L] on each ball; (N,) vectors."""
+    force = network.sum_on_balls(contacts.force, reaction=-1)
+    if contacts.moment_arm is None:
         return force, None
-    return force, -network.radius * cross(contacts.normal, contacts.tangential_force).sum(axis=1)
+    return force, network.sum_on_balls(contacts.moment_arm, reaction=1) * network.radius

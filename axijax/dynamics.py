@@ -6,18 +6,19 @@ positions at t and the velocities at t - dt/2 give the velocities at t + dt/2, t
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from axijax.contact import Contacts, contact_law, resultants
-from axijax.membrane import membrane_force
+from axijax.contact import Contacts, contact_forces, linear_law, resultants
+from axijax.membrane import Load, lateral_force
 from axijax.neighbors import Network
-from axijax.packing import plane_distances
 from axijax.platens import platen_forces, sector_plane_force
-from axijax.sector import turn
+from axijax.sector import plane_normals, radial_distance
+from axijax.vector import Vector, zeros
 
 Damping = Literal["dashpot", "local", "background", "none"]
 
@@ -110,19 +111,19 @@ class Scene:
 class State(NamedTuple):
     """What a step carries; a pytree.
 
-    displacement: (3, N) from the network's reference positions, at time t [L].
-    velocity: (3, N) at t - dt/2 [L/T].
-    spin: (3, N) angular velocity at t - dt/2 [1/T]; None where nothing spins.
-    spring: (3, K, N) tangential springs [L]; None without friction.
+    displacement: (N,) vectors from the network's reference positions, at time t [L].
+    velocity: (N,) vectors at t - dt/2 [L/T].
+    spin: (N,) angular velocities at t - dt/2 [1/T]; None where nothing spins.
+    spring: (C,) tangential springs of the contacts [L]; None without friction.
     platens: (2,) heights of the bottom and the top platen at t [L].
     platen_speeds: (2,) their velocities at t - dt/2 [L/T], upward positive.
     time: () since the stage began [T].
     """
 
-    displacement: jax.Array
-    velocity: jax.Array
-    spin: jax.Array | None
-    spring: jax.Array | None
+    displacement: Vector
+    velocity: Vector
+    spin: Vector | None
+    spring: Vector | None
     platens: jax.Array
     platen_speeds: jax.Array
     time: jax.Array
@@ -131,97 +132,84 @@ class State(NamedTuple):
 class Forces(NamedTuple):
     """All forces at one moment: contacts, sums on the balls and on the platens.
 
-    resultant: (3, N) unbalanced force on each ball, before any damping but the dashpots' [F].
-    moment: (3, N) [F L], or None.
-    platen_push: (2, N) push of the bottom and the top platen on each ball, positive [F].
-    contacts: what the law made of each entry.
+    resultant: (N,) unbalanced force on each ball, before any damping but the dashpots' [F].
+    moment: (N,) [F L], or None where nothing spins.
+    platen_push: push of the bottom and of the top platen on each ball, (N,) each, positive [F].
+    contacts: what the law made of each contact.
     """
 
-    resultant: jax.Array
-    moment: jax.Array | None
-    platen_push: jax.Array
+    resultant: Vector
+    moment: Vector | None
+    platen_push: tuple[jax.Array, jax.Array]
     contacts: Contacts
 
 
 def initial_state(network: Network, scene: Scene, platens: jax.Array) -> State:
     """Balls at rest at the reference positions, springs unstrained."""
-    still = jnp.zeros_like(network.positions)
+    still = zeros(network.radius.shape, network.dtype)
     return State(
         displacement=still,
         velocity=still,
         spin=still if scene.spins else None,
-        spring=jnp.zeros_like(network.branch) if scene.friction else None,
-        platens=jnp.asarray(platens, still.dtype),
-        platen_speeds=jnp.zeros(2, still.dtype),
-        time=jnp.zeros((), still.dtype),
+        spring=zeros(network.first.shape, network.dtype) if scene.friction else None,
+        platens=jnp.asarray(platens, network.dtype),
+        platen_speeds=jnp.zeros(2, network.dtype),
+        time=jnp.zeros((), network.dtype),
     )
 
 
-def ball_mass(params: Params, network: Network) -> jax.Array:
-    """Mass of each ball, (N,) [M]."""
-    return _mass_per_cube(params) * network.radius**3
+def positions(network: Network, state: State) -> Vector:
+    """Ball centres (N,) [L]."""
+    return network.positions + state.displacement
 
 
-def _mass_per_cube(params: Params):
+def mass_per_cube(params: Params):
+    """Mass of a ball over its radius cubed [M/L^3]."""
     return params.density * (4 / 3) * jnp.pi
 
 
-def all_forces(scene: Scene, params: Params, network: Network, areas: jax.Array, dt, state: State) -> Forces:
-    """Contacts, platens, sector planes and membrane at the positions of `state`. areas: (N,) membrane cells [L^2]."""
+def all_forces(scene: Scene, params: Params, network: Network, load: Load, dt, state: State) -> Forces:
+    """Contacts, platens, sector planes and lateral load at the positions of `state`."""
     dashpots = scene.damping == "dashpot"
-    mass = ball_mass(params, network)
-    contacts = contact_law(
-        params,
-        network,
-        _mass_per_cube(params) * network.pair_cube if dashpots else None,
-        dt,
-        (state.displacement, state.velocity, state.spin),
-        state.spring,
-        dashpots=dashpots,
-    )
-    force, moment = resultants(contacts, network, rotation=scene.spins)
-    positions = network.positions + state.displacement
+    mass = mass_per_cube(params) * network.radius**3
+    law = linear_law(params, network, mass_per_cube(params), dashpots=dashpots)
+    rolling = None if state.spin is None else state.spin * network.radius
+    contacts = contact_forces(law, network, dt, state.displacement, state.velocity, rolling, state.spring)
+    force, moment = resultants(contacts, network)
+    place = positions(network, state)
     viscosity = 2 * params.damping_ratio * jnp.sqrt(params.platen_stiffness * mass) if dashpots else None
-    push = platen_forces(
-        params, network, positions[2], state.velocity[2], state.platens, state.platen_speeds, viscosity
-    )
-    sideways = membrane_force(params.confining_stress, areas, positions)
+    push = platen_forces(params, network, place.z, state.velocity.z, state.platens, state.platen_speeds, viscosity)
+    sideways = lateral_force(params.confining_stress, load, place)
     if network.sector.boundary == "rigid":
-        sideways = sideways + sector_plane_force(params, network, positions, state.velocity, viscosity)
-    force = force + jnp.concatenate([sideways, push[:1] - push[1:]])
-    return Forces(force * network.free, None if moment is None else moment * network.free, push, contacts)
+        sideways = sideways + sector_plane_force(params, network, place, state.velocity, viscosity)
+    force = force + Vector(sideways.x, sideways.y, push[0] - push[1])
+    if network.sector.images > 1:
+        force = Vector(force.x * network.free.x, force.y * network.free.y, force.z)
+        if moment is not None:
+            moment = Vector(moment.x * network.free.x, moment.y * network.free.y, moment.z)
+    return Forces(force, moment if scene.spins else None, push, contacts)
 
 
-# A platen drive gives the platens' velocities at t + dt/2 from the state and the forces at t.
+# A platen drive gives the platens' velocities at t + dt/2 from the state, the step, the forces (2,) that the balls put
+# on the platens and the area of the section, at t.
 PlatenDrive = Callable[[Params, State, jax.Array, jax.Array, jax.Array], jax.Array]
 
 
 def make_step(scene: Scene, drive: PlatenDrive):
-    """A pure function step(params, network, areas, dt, state) -> state for one scene and one way to move the platens."""
+    """A pure function step(params, network, load, dt, state) -> state for one scene and one way to move the platens."""
 
-    def step(params: Params, network: Network, areas: jax.Array, dt, state: State) -> State:
-        forces = all_forces(scene, params, network, areas, dt, state)
-        mass = ball_mass(params, network)
-        force, moment = forces.resultant, forces.moment
-        if scene.damping == "local":
-            direction = network.positions[:2] + state.displacement[:2]
-            force = _local_damping(params, force, state.velocity, direction)
-            moment = None if moment is None else _local_damping(params, moment, state.spin, direction)
-        velocity, spin = state.velocity, state.spin
-        if scene.damping == "background":
-            # Half of it on either side of the step, so that a large rate only stops the balls.
-            half = 0.5 * dt * params.background_damping
-            velocity = ((1 - half) * velocity + dt * force / mass) / (1 + half)
-            if spin is not None:
-                spin = ((1 - half) * spin + dt * moment / (0.4 * mass * network.radius**2)) / (1 + half)
-        else:
-            velocity = velocity + dt * force / mass
-            if spin is not None:
-                spin = spin + dt * moment / (0.4 * mass * network.radius**2)
-        push = (forces.platen_push * network.weight).sum(axis=1)
-        platen_speeds = drive(params, state, dt, push, areas.sum())
+    def step(params: Params, network: Network, load: Load, dt, state: State) -> State:
+        forces = all_forces(scene, params, network, load, dt, state)
+        mass = mass_per_cube(params) * network.radius**3
+        push = jnp.stack([(side * network.weight).sum() for side in forces.platen_push])
+        platen_speeds = drive(params, state, dt, push, load.section)
+        advance = partial(_advance, scene, params, dt, positions(network, state))
+        velocity = advance(state.velocity, forces.resultant, 1 / mass)
+        spin = state.spin
+        if spin is not None:
+            spin = advance(spin, forces.moment, 1 / (0.4 * mass * network.radius**2))
         return State(
-            displacement=state.displacement + dt * velocity,
+            displacement=state.displacement + velocity * dt,
             velocity=velocity,
             spin=spin,
             spring=forces.contacts.spring,
@@ -233,17 +221,22 @@ def make_step(scene: Scene, drive: PlatenDrive):
     return step
 
 
-def _local_damping(params, force, velocity, direction):
-    """Cundall's damping: each component of the force reduced where it drives the motion, raised where it opposes it.
-
-    The components are radial, circumferential and vertical, so that a ball and its turned images are damped alike.
-    """
-    distance = jnp.sqrt(direction[0] ** 2 + direction[1] ** 2)
-    cos = jnp.where(distance > 0, direction[0] / jnp.where(distance > 0, distance, 1.0), 1.0)
-    sin = jnp.where(distance > 0, direction[1] / jnp.where(distance > 0, distance, 1.0), 0.0)
-    force_in, velocity_in = (jnp.stack(turn(vector, cos, -sin)) for vector in (force, velocity))
-    damped = force_in - params.local_damping * jnp.abs(force_in) * jnp.sign(velocity_in)
-    return jnp.stack(turn(damped, cos, sin))
+def _advance(scene: Scene, params: Params, dt, place: Vector, motion: Vector, force: Vector, per_inertia) -> Vector:
+    """Velocities (or spins) half a step after the forces (or moments), damped as the scene says."""
+    if scene.damping == "local":
+        # Cundall's damping: a force component is reduced where it drives the motion, raised where it opposes it.
+        # Radial, circumferential and vertical components, so that a ball and its turned images are damped alike.
+        distance = radial_distance(place)
+        off_axis = jnp.where(distance > 0, distance, 1.0)
+        cos, sin = jnp.where(distance > 0, place.x / off_axis, 1.0), place.y / off_axis
+        force_in, motion_in = force.turned(cos, -sin), motion.turned(cos, -sin)
+        damped = [f - params.local_damping * jnp.abs(f) * jnp.sign(m) for f, m in zip(force_in, motion_in, strict=True)]
+        force = Vector(*damped).turned(cos, sin)
+    if scene.damping == "background":
+        # Half of it on either side of the force, so that even a large rate only stops the balls.
+        half = 0.5 * dt * params.background_damping
+        return (motion * (1 - half) + force * (dt * per_inertia)) * (1 / (1 + half))
+    return motion + force * (dt * per_inertia)
 
 
 def critical_time_step(scene: Scene, params: Params, network: Network, touching_within: float = 1e-3) -> float:
@@ -256,61 +249,63 @@ def critical_time_step(scene: Scene, params: Params, network: Network, touching_
     """
     from scipy.sparse.linalg import LinearOperator, eigsh
 
-    entries = np.asarray(network.neighbor) >= 0
-    branch = np.asarray(network.branch, float)
-    distance = np.linalg.norm(branch, axis=0)
     radius = np.asarray(network.radius, float)
-    entries &= distance - np.asarray(network.reach) < touching_within * radius
-    k, i = np.nonzero(entries)
-    j, image = np.asarray(network.neighbor)[k, i], np.asarray(network.image)[k, i]
-    normal = (branch / distance)[:, k, i]
-    cos, sin = network.sector.cos_sin(image)
+    closed = -np.asarray(network.overlap, float) < touching_within * radius.min()
+    first, second = np.asarray(network.first)[closed], np.asarray(network.second)[closed]
+    normal = (np.asarray(network.branch) / np.asarray(network.distance))[:, closed]
+    cos, sin = np.asarray(network.cos, float)[closed], np.asarray(network.sin, float)[closed]
+    share_of_contact = np.asarray(network.share, float)[closed]
     mass = float(np.asarray(params.density)) * 4 / 3 * np.pi * radius**3
     spins = scene.spins
     share = np.asarray(network.weight, float)
-    free = np.asarray(network.free, float)
+    free = np.asarray(network.free)
     free = np.concatenate([free, free]) if spins else free
     scale = np.stack([mass] * 3 + [0.4 * mass * radius**2] * (3 if spins else 0))
     scale = 1 / np.sqrt(scale * share)
     count = radius.size
     stiffness = float(params.normal_stiffness), float(params.shear_stiffness) if scene.friction else 0.0
     beta = float(np.asarray(params.damping_ratio)) if scene.damping == "dashpot" else 0.0
-    reduced = 1 / (1 / mass[i] + 1 / mass[j])
+    reduced = 1 / (1 / mass[first] + 1 / mass[second])
     viscosity = [2 * beta * np.sqrt(constant * reduced) for constant in stiffness]
 
     # Ball-plate contacts, and those with rigid sector planes, as springs to the ground.
-    z = np.asarray(network.positions[2], float)
+    place = np.asarray(network.positions)
+    z = place[2]
     lowest, highest = (z - radius).min(), (z + radius).max()
     ground = [
         (np.flatnonzero(z - radius - lowest < touching_within * radius), np.array([0.0, 0.0, 1.0])),
         (np.flatnonzero(highest - z - radius < touching_within * radius), np.array([0.0, 0.0, 1.0])),
     ]
     if network.sector.boundary == "rigid":
-        gaps = np.asarray(plane_distances(np.asarray(network.positions, float), network.sector)) - radius
-        c, s = (float(value) for value in network.sector.cos_sin(1))
-        for gap, direction in zip(gaps, (np.array([0.0, 1.0, 0.0]), np.array([s, -c, 0.0])), strict=True):
-            ground.append((np.flatnonzero(gap < touching_within * radius), direction))
+        for inward in plane_normals(network.sector):
+            gap = inward @ place[:2] - radius
+            ground.append((np.flatnonzero(gap < touching_within * radius), np.array([*inward, 0.0])))
     wall = float(params.platen_stiffness)
+
+    def turned(vectors, sine):
+        x, y, z = vectors
+        return np.stack([cos * x - sine * y, sine * x + cos * y, z])
+
+    def collect(balls, vectors):
+        return np.stack([np.bincount(balls, row, count) for row in vectors])
 
     def apply(vector, normal_constant, shear_constant, wall_constant):
         motion = (vector.reshape(-1, count) * scale * free).reshape(-1, 3, count)
-        relative = motion[0][:, i] - np.stack(turn(motion[0][:, j], cos, sin))
+        relative = motion[0][:, first] - turned(motion[0][:, second], sin)
         if spins:
             surface = radius * motion[1]
-            relative -= np.cross(surface[:, i] + np.stack(turn(surface[:, j], cos, sin)), normal, axis=0)
+            relative -= np.cross(surface[:, first] + turned(surface[:, second], sin), normal, axis=0)
         along = (relative * normal).sum(0) * normal
-        force = normal_constant * along + shear_constant * (relative - along)
+        force = share_of_contact * (normal_constant * along + shear_constant * (relative - along))
         result = np.zeros_like(motion)
-        for axis in range(3):
-            result[0, axis] = np.bincount(i, force[axis], count)
+        result[0] = collect(first, force) - collect(second, turned(force, -sin))
         if spins:
-            moment = -radius[i] * np.cross(normal, force, axis=0)
-            for axis in range(3):
-                result[1, axis] = np.bincount(i, moment[axis], count)
+            arm = np.cross(force, normal, axis=0)
+            result[1] = radius * (collect(first, arm) + collect(second, turned(arm, -sin)))
         for balls, direction in ground:
             push = direction @ motion[0][:, balls]
-            result[0][:, balls] += np.asarray(wall_constant)[..., balls] * direction[:, None] * push
-        return (result.reshape(-1, count) * np.concatenate([share[None]] * scale.shape[0]) * scale * free).ravel()
+            result[0][:, balls] += wall_constant[balls] * share[balls] * direction[:, None] * push
+        return (result.reshape(-1, count) * scale * free).ravel()
 
     size = scale.size
     operator = LinearOperator((size, size), lambda v: apply(v, *stiffness, np.full(count, wall)), dtype=float)

@@ -20,6 +20,7 @@ from scipy.spatial import Delaunay
 
 from axijax.packing import Specimen
 from axijax.sector import Sector, radial_distance
+from axijax.vector import Vector
 
 
 @jax.tree_util.register_dataclass
@@ -190,18 +191,18 @@ def zone_found_again(specimen: Specimen, sector: Sector) -> np.ndarray:
     return specimen.membrane_zone | outside
 
 
-def membrane_radius(membrane: Membrane, positions: jax.Array) -> jax.Array:
-    """Radius Rm of the cylinder through the middle of the zone [L]; positions (3, N)."""
-    rho = radial_distance(positions[:, membrane.zone])
+def membrane_radius(membrane: Membrane, positions: Vector) -> jax.Array:
+    """Radius Rm of the cylinder through the middle of the zone [L]; positions: (N,) vectors."""
+    rho = radial_distance(positions.at(membrane.zone))
     least = jnp.where(membrane.counted, rho, jnp.inf).min()
     most = jnp.where(membrane.counted, rho, -jnp.inf).max()
     return (least + most) / 2
 
 
-def cell_areas(membrane: Membrane, positions: jax.Array, bottom, top) -> jax.Array:
+def cell_areas(membrane: Membrane, positions: Vector, bottom, top) -> jax.Array:
     """Area of each ball's Voronoi cell on the unfolded cylinder, zero outside the zone; (N,) [L^2].
 
-    positions: (3, N) current ball centres [L]; bottom, top: heights of the platens [L].
+    positions: (N,) vectors, current ball centres [L]; bottom, top: heights of the platens [L].
 
     The cell is summed from the triangles around the ball: each adds the quadrilateral of the corner, the two
     middles of its sides and the circumcentre. The sum over all cells is the strip's area for any positions; each
@@ -210,16 +211,16 @@ def cell_areas(membrane: Membrane, positions: jax.Array, bottom, top) -> jax.Arr
     radius = membrane_radius(membrane, positions)
     place = _corner_places(membrane, positions, bottom, top, radius)
     centre = _circumcentres(place)
-    area = jnp.zeros(membrane.zone.size, positions.dtype)
+    area = jnp.zeros(membrane.zone.size, place.dtype)
     for corner, (before, after) in enumerate(((2, 1), (0, 2), (1, 0))):
         own = place[:, corner]
         to_centre = centre - own
         piece = _cross(place[:, after] - own, to_centre) + _cross(to_centre, place[:, before] - own)
         area = area.at[membrane.corner[corner]].add(0.25 * piece * membrane.owned[corner])
-    return jnp.zeros(positions.shape[1], positions.dtype).at[membrane.zone].set(area * membrane.share)
+    return jnp.zeros(positions.x.size, place.dtype).at[membrane.zone].set(area * membrane.share)
 
 
-def stale_cells(membrane: Membrane, positions: jax.Array, bottom, top) -> jax.Array:
+def stale_cells(membrane: Membrane, positions: Vector, bottom, top) -> jax.Array:
     """How far the triangulation is from a Delaunay one: the area between ball and cell edge that is counted with
     the wrong sign, as a share of the strip's area [-]. Zero after `build_membrane`; the areas' error is of its order.
     """
@@ -231,24 +232,52 @@ def stale_cells(membrane: Membrane, positions: jax.Array, bottom, top) -> jax.Ar
     # cot of the angle at a corner times the square of the side opposite: the cell edge's share in this triangle
     cotangent = -(sides[:, (1, 2, 0)] * sides[:, (2, 0, 1)]).sum(0) / twice_area
     count = membrane.edge.size
-    across = jnp.zeros(count, positions.dtype).at[membrane.edge].add(cotangent * square / 8)
+    across = jnp.zeros(count, place.dtype).at[membrane.edge].add(cotangent * square / 8)
     shared = jnp.zeros(count, jnp.int32).at[membrane.edge].add(1)
     wrong = jnp.where(shared == 2, jnp.maximum(-across, 0.0), 0.0).sum()
     return wrong / (membrane.sector_angle * radius * (top - bottom))
 
 
-def membrane_force(stress, areas: jax.Array, positions: jax.Array) -> jax.Array:
-    """Radial force of the membrane on each ball, stress * area towards the axis; (2, N) along x and y [F].
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Load:
+    """The lateral load of a specimen, per unit of confining stress.
 
-    stress: confining stress, compression positive; areas: (N,) from `cell_areas` [L^2]; positions: (3, N).
+    lateral: (N,) cell areas, pressed towards the axis; or (2, N) constant horizontal vectors, for a specimen that is
+        loaded without a membrane [L^2].
+    section: () area of the sector's section that the platens carry [L^2].
+    """
+
+    lateral: jax.Array
+    section: jax.Array
+
+
+def membrane_load(membrane: Membrane, positions: Vector, bottom, top) -> Load:
+    """Cells and section at the current positions."""
+    section = 0.5 * membrane.sector_angle * membrane_radius(membrane, positions) ** 2
+    return Load(cell_areas(membrane, positions, bottom, top), section)
+
+
+def lateral_force(stress, load: Load, positions: Vector) -> Vector:
+    """Horizontal force on each ball, (N,) vectors [F]. stress: confining stress, compression positive."""
+    if load.lateral.ndim == 2:
+        x, y = -stress * load.lateral
+        return Vector(x, y, jnp.zeros_like(x))
+    return membrane_force(stress, load.lateral, positions)
+
+
+def membrane_force(stress, areas: jax.Array, positions: Vector) -> Vector:
+    """Radial force of the membrane on each ball, stress * area from its current position to the axis; (N,) [F].
+
+    stress: confining stress, compression positive; areas: (N,) from `cell_areas` [L^2]; positions: (N,) vectors.
     """
     rho = radial_distance(positions)
     inward = -stress * areas / jnp.where(rho > 0, rho, 1.0)
-    return inward * positions[:2]
+    return Vector(inward * positions.x, inward * positions.y, jnp.zeros_like(inward))
 
 
 def _corner_places(membrane, positions, bottom, top, radius):
-    x, y, z = positions[:, membrane.zone]
+    x, y, z = positions.at(membrane.zone)
     cos, sin = membrane.direction
     theta = membrane.angle + jnp.arctan2(cos * y - sin * x, cos * x + sin * y)  # no jump at theta = 2*pi
     across = membrane.turn_sign * theta[membrane.corner] + membrane.turn_shift

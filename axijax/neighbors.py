@@ -1,9 +1,13 @@
 """The contact list: which ball may touch which image of which other, and from where.
 
-A full list, K entries a ball, entry (k, i) = (ball i, ball j, image) in component-major arrays. It is built on
-the host by a k-d tree over all images, and stays right while no ball has moved more than half the skin. The
-motion is stored as displacement from the positions at which the list was built, and each entry keeps its branch
-vector at that moment: so float32 loses nothing to large coordinates, and any image of a ball may represent it.
+A contact is (ball i, ball j, image k) with the spring and the force in the frame of ball i. The same contact seen
+from j is (j, i, -k), so each pair is listed once: its force acts on i, and turned back by -k with the other sign on
+j. Every ball gathers its contacts through a table of slots; nothing is scattered, and sums have a fixed order.
+
+The list is built on the host by a k-d tree over all images, and stays right while no ball has moved more than half
+the skin. Motion is stored as displacement from the positions at which the list was built, and each contact keeps
+its branch vector of that moment: so float32 loses nothing to large coordinates, and any image of a ball may
+represent it.
 """
 
 from dataclasses import dataclass, field
@@ -14,49 +18,74 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from axijax.packing import Specimen
-from axijax.sector import Sector, turn
+from axijax.sector import Sector
+from axijax.vector import Vector, from_rows
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Network:
-    """Contact list of N balls with K entries each, a pytree of arrays.
+    """C possible contacts among N balls, at most K each; a pytree of arrays. The last contact is never closed.
 
-    neighbor, image: (K, N) int, ball j and image of each entry; neighbor = -1 where the entry is empty.
-    branch: (3, K, N) vector from the image of j to i at the reference positions [L]; huge where empty.
-    reach: sum of the two radii [L]; () where all balls are equal, else (K, N).
-    pair_cube: a^3 b^3 / (a^3 + b^3) of the two radii a, b [L^3], for the reduced mass; shaped like reach.
-    column: (K, N) int, the entry's column in the table of images that `image_table` makes.
-    copy_of, copy_cos, copy_sin: (M,) the balls of which a turned copy is in use, and the turn.
-    positions: (3, N) reference positions [L].
+    first, second, image: (C,) int, the contact (i, j, k); -1 in image where the contact is padding.
+    cos, sin: (C,) of the turn to image k.
+    branch: (C,) vectors from the image of j to i at the reference positions [L]; huge where padding.
+    distance, overlap: (C,) their length and the overlap there, negative for a gap [L].
+    pair_cube: a^3 b^3 / (a^3 + b^3) of the two radii a, b [L^3], for the reduced mass; () where all balls are equal.
+    share: (C,) the part of each contact that belongs to the sector, so that sums count it once [-].
+    slot: (K, N) int, the contacts of each ball; the last contact where a slot is empty.
+    side: (K, N) 1 where the ball is the contact's first, -1 where its second, 0 where the slot is empty.
+    slot_cos, slot_sin: (K, N) of the turn from the contact's frame to the ball's.
+    positions: (N,) reference positions [L].
     radius, weight: (N,) ball radii [L] and the share of each ball that belongs to the sector [-].
-    free: (3, N) 1 where a ball may move along x, y, z (and spin about it), 0 where the axis forbids it.
+    free: (N,) vectors of 1 where a ball may move along x, y, z (and spin about it), 0 where the axis forbids it.
     skin: how much farther than touching the list looks [L].
     """
 
-    neighbor: jax.Array
+    first: jax.Array
+    second: jax.Array
     image: jax.Array
-    branch: jax.Array
-    reach: jax.Array
+    cos: jax.Array
+    sin: jax.Array
+    branch: Vector
+    distance: jax.Array
+    overlap: jax.Array
     pair_cube: jax.Array
-    column: jax.Array
-    copy_of: jax.Array
-    copy_cos: jax.Array
-    copy_sin: jax.Array
-    positions: jax.Array
+    share: jax.Array
+    slot: jax.Array
+    side: jax.Array
+    slot_cos: jax.Array
+    slot_sin: jax.Array
+    positions: Vector
     radius: jax.Array
     weight: jax.Array
-    free: jax.Array
+    free: Vector
     skin: jax.Array
     sector: Sector = field(metadata={"static": True})
 
+    @property
+    def dtype(self):
+        return self.radius.dtype
 
-def image_table(network: Network, vectors: jax.Array) -> jax.Array:
-    """Vectors (3, N) of all balls followed by the turned copies that some entry needs; (3, N + M)."""
-    if network.copy_of.size == 0:
-        return vectors
-    copies = jnp.stack(turn(vectors[:, network.copy_of], network.copy_cos, network.copy_sin))
-    return jnp.concatenate([vectors, copies], axis=1)
+    def of_first(self, vectors: Vector) -> Vector:
+        """Vectors of the balls (N,) at the contacts' first balls; (C,)."""
+        return vectors.at(self.first)
+
+    def of_second(self, vectors: Vector) -> Vector:
+        """Vectors of the balls (N,) at the contacts' second balls, turned to their image; (C,)."""
+        there = vectors.at(self.second)
+        return there if self.sector.images == 1 else there.turned(self.cos, self.sin)
+
+    def sum_on_balls(self, vectors: Vector, *, reaction: float) -> Vector:
+        """Sum of the contacts' vectors (C,) on each ball (N,), times `reaction` (-1 or 1) on the second ball."""
+        there = vectors.at(self.slot)
+        factor = self.side if reaction < 0 else jnp.abs(self.side)
+        if self.sector.images == 1:
+            there = there * factor
+        else:
+            cos, sin = factor * self.slot_cos, factor * self.slot_sin
+            there = Vector(cos * there.x - sin * there.y, sin * there.x + cos * there.y, factor * there.z)
+        return there.map(lambda component: component.sum(axis=0))
 
 
 def build_network(
@@ -64,7 +93,7 @@ def build_network(
     sector: Sector,
     skin: float | None = None,
     width: int | None = None,
-    copies: int | None = None,
+    contacts: int | None = None,
     largest_overlap: float = 0.05,
     dtype=np.float64,
 ) -> Network:
@@ -72,12 +101,11 @@ def build_network(
 
     skin: how much farther than touching to look [L]; None takes 0.8 of the smallest radius, which in a cubic
         close packing stops just short of the second neighbours.
-    width: number of entries K a ball; None takes what is needed.
-    copies: number of turned copies M to pad to; None takes what is needed. A rebuilt list that keeps width and
-        copies keeps its shape, and nothing is compiled again.
+    width, contacts: numbers of slots K and of contacts C to pad to; None takes what is needed. A rebuilt list that
+        keeps both keeps its shape, and nothing is compiled again.
     largest_overlap: refuse a specimen with a deeper overlap than this, in radii of the smaller ball [-].
 
-    Raises ValueError for overlapping balls, images included, and for a width or copies that are too small.
+    Raises ValueError for overlapping balls, images included, and for a width or contacts that are too small.
     """
     positions, radius = specimen.positions, specimen.radius
     count = len(specimen)
@@ -86,101 +114,124 @@ def build_network(
     if not (np.isfinite(skin) and skin >= 0):
         raise ValueError(f"skin = {skin!r}: must be zero or positive [L].")
     on_axis = sector.on_axis(positions, radius)
-
-    i, j, k = _pairs(positions, 2 * radius.max() + skin, sector, on_axis)
+    i, j, k = _directed(positions, radius, skin, sector, on_axis)
+    ball, contact, side, turn, (i, j, k) = _pair_up(i, j, k, on_axis, sector)
     branch = positions[:, i] - sector.rotate(positions[:, j], k)
-    reach = radius[i] + radius[j]
-    near = np.linalg.norm(branch, axis=0) < reach + skin
-    i, j, k, branch, reach = i[near], j[near], k[near], branch[:, near], reach[near]
-    overlap = (reach - np.linalg.norm(branch, axis=0)) / np.minimum(radius[i], radius[j])
-    if overlap.size and overlap.max() > largest_overlap:
-        worst = overlap.argmax()
+    distance = np.linalg.norm(branch, axis=0)
+    overlap = radius[i] + radius[j] - distance
+    depth = overlap / np.minimum(radius[i], radius[j])
+    if depth.size and depth.max() > largest_overlap:
+        worst = depth.argmax()
         raise ValueError(
-            f"specimen: ball {i[worst]} and image {k[worst]} of ball {j[worst]} overlap by {overlap[worst]:.3g} "
+            f"specimen: ball {i[worst]} and image {k[worst]} of ball {j[worst]} overlap by {depth[worst]:.3g} "
             f"radii: at most {largest_overlap:g} is allowed; move or remove one of them."
         )
 
-    order = np.lexsort((k, j, i))
-    i, j, k, branch, reach = i[order], j[order], k[order], branch[:, order], reach[order]
-    per_ball = np.bincount(i, minlength=count)
+    per_ball = np.bincount(ball, minlength=count)
     needed = max(int(per_ball.max(initial=0)), 1)
-    if width is None:
-        width = needed
-    if needed > width:
-        raise ValueError(f"neighbour list width = {width}: a ball has {needed} neighbours; allow at least that many.")
-    slot = np.arange(i.size) - np.repeat(np.cumsum(per_ball) - per_ball, per_ball)
+    if width is not None and width < needed:
+        raise ValueError(f"contact list width = {width}: a ball has {needed} neighbours; allow at least that many.")
+    # A multiple of 8 keeps the loops over contacts free of remainders.
+    length = contacts or -(-(i.size + 1) // 8) * 8
+    if length < i.size + 1:
+        raise ValueError(f"contact list length = {length}: {i.size + 1} are needed; allow at least that many.")
+    row = np.arange(ball.size) - np.repeat(np.cumsum(per_ball) - per_ball, per_ball)
 
-    def filled(values, empty, kind):
-        table = np.full((width, count), empty, kind)
-        table[slot, i] = values
-        return table
+    def slots(values, empty, kind=dtype):
+        table = np.full((width or needed, count), empty, kind)
+        table[row, ball] = values
+        return jnp.asarray(table)
 
-    pairs, which = np.unique(np.stack([j[k != 0], k[k != 0]]), axis=1, return_inverse=True)
-    column = np.array(j)
-    column[k != 0] = count + which.ravel()
-    if copies is not None and copies < pairs.shape[1]:
-        raise ValueError(f"turned copies = {copies}: {pairs.shape[1]} are in use; allow at least that many.")
-    pairs = np.concatenate([pairs, np.zeros((2, (copies or pairs.shape[1]) - pairs.shape[1]), pairs.dtype)], axis=1)
-    cos, sin = sector.cos_sin(pairs[1])
+    def padded(values, empty, kind=dtype):
+        return jnp.asarray(np.concatenate([values, np.full(length - i.size, empty)]).astype(kind))
+
+    far = 1e3 * radius.max()  # a padding contact is between balls far apart that never touch
     cubes = radius[i] ** 3, radius[j] ** 3
-    pair_cube = cubes[0] * cubes[1] / (cubes[0] + cubes[1])
-
-    def per_entry(values, alike):
-        """One number where all balls are equal: a scene that does not need an array does not carry one."""
-        return jnp.asarray(alike, dtype) if np.ptp(radius) == 0 else jnp.asarray(filled(values, alike, dtype))
-
-    far = 1e3 * radius.max()  # an empty entry is a ball far away that never touches
+    equal = np.ptp(radius) == 0
+    share = sector.weight(on_axis[i] & on_axis[j]) / np.where((i == j) & (2 * k % sector.order == 0), 2.0, 1.0)
+    cos, sin = sector.cos_sin(k)
+    slot_cos, slot_sin = sector.cos_sin(turn)
     return Network(
-        neighbor=jnp.asarray(filled(j, -1, np.int32)),
-        image=jnp.asarray(filled(k, 0, np.int32)),
-        branch=jnp.asarray(np.stack([filled(branch[axis], far, dtype) for axis in range(3)])),
-        reach=per_entry(reach, 2 * radius[0]),
-        pair_cube=per_entry(pair_cube, radius[0] ** 3 / 2),
-        column=jnp.asarray(np.where(filled(1, 0, bool), filled(column, 0, np.int32), np.arange(count, dtype=np.int32))),
-        copy_of=jnp.asarray(pairs[0].astype(np.int32)),
-        copy_cos=jnp.asarray(cos.astype(dtype)),
-        copy_sin=jnp.asarray(sin.astype(dtype)),
-        positions=jnp.asarray(positions.astype(dtype)),
+        first=padded(i, 0, np.int32),
+        second=padded(j, 0, np.int32),
+        image=padded(k, -1, np.int32),
+        cos=padded(cos, 1.0),
+        sin=padded(sin, 0.0),
+        branch=from_rows([padded(branch[0], far), padded(branch[1], 0.0), padded(branch[2], 0.0)]),
+        distance=padded(distance, far),
+        overlap=padded(overlap, -far),
+        pair_cube=jnp.asarray(radius[0] ** 3 / 2, dtype) if equal else padded(cubes[0] * cubes[1] / sum(cubes), 1.0),
+        share=padded(share, 0.0),
+        slot=slots(contact, length - 1, np.int32),
+        side=slots(side, 0.0),
+        slot_cos=slots(slot_cos, 1.0),
+        slot_sin=slots(slot_sin, 0.0),
+        positions=from_rows(positions.astype(dtype)),
         radius=jnp.asarray(radius.astype(dtype)),
         weight=jnp.asarray(sector.weight(on_axis).astype(dtype)),
-        free=jnp.asarray(np.stack([~on_axis, ~on_axis, np.ones(count, bool)]).astype(dtype)),
+        free=from_rows(np.stack([~on_axis, ~on_axis, np.ones(count, bool)]).astype(dtype)),
         skin=jnp.asarray(skin, dtype),
         sector=sector,
     )
 
 
-def _pairs(positions: np.ndarray, cutoff: float, sector: Sector, on_axis: np.ndarray):
-    """All (i, j, k) whose centres are nearer than cutoff, a ball's own self and the copies of an on-axis ball left out."""
-    count = positions.shape[1]
-    balls = np.tile(np.arange(count), sector.images)
-    turns = np.repeat(np.arange(sector.images), count)
+def _directed(positions, radius, skin, sector: Sector, on_axis):
+    """All (i, j, k) nearer than touching plus skin, sorted, each contact from both its sides."""
+    balls = np.tile(np.arange(radius.size), sector.images)
+    turns = np.repeat(np.arange(sector.images), radius.size)
     copies = sector.rotate(positions[:, balls], turns)
     distinct = (turns == 0) | ~on_axis[balls]  # all images of an on-axis ball are the ball itself
     balls, turns, copies = balls[distinct], turns[distinct], copies[:, distinct]
-    near = cKDTree(positions.T).sparse_distance_matrix(cKDTree(copies.T), cutoff, output_type="ndarray")
-    i, column = near["i"], near["j"]
-    j, k = balls[column], turns[column]
-    other = (i != j) | (k != 0)
-    return i[other], j[other], k[other]
+    tree = cKDTree(copies.T)
+    near = cKDTree(positions.T).sparse_distance_matrix(tree, 2 * radius.max() + skin, output_type="ndarray")
+    i, j, k = near["i"], balls[near["j"]], turns[near["j"]]
+    kept = ((i != j) | (k != 0)) & (near["v"] < radius[i] + radius[j] + skin)
+    i, j, k = i[kept], j[kept], k[kept]
+    order = np.lexsort((k, j, i))
+    return i[order], j[order], k[order]
 
 
-def carry_springs(old: Network, new: Network, springs: np.ndarray) -> np.ndarray:
-    """Springs (3, K, N) of the old list's entries, each at its place (ball, neighbour, image) in the new list (host).
+def _pair_up(i, j, k, on_axis, sector: Sector):
+    """One contact for each pair of directed entries (i, j, k) and (j, i, -k).
+
+    Returns, for each directed entry, its ball, its contact, its side (1 first, -1 second) and the turn from the
+    contact's frame to the ball's; then the contacts (i, j, k).
+
+    The first ball is the one off the axis: seen from an on-axis ball the contact exists under all images, seen from
+    its neighbour once. Else it is the lower number, and for a ball against its own image the smaller turn.
+    """
+    images = sector.images
+    back = -k % images
+    only_second = on_axis[i] & ~on_axis[j]
+    only_first = on_axis[j] & ~on_axis[i]
+    own = only_first | (~only_second & ((i < j) | ((i == j) & (k <= back))))
+    count = int(max(i.max(initial=0), j.max(initial=0))) + 1
+
+    def key(a, b, c):
+        return (a * count + b) * images + c
+
+    keys = key(i[own], j[own], k[own])  # sorted, as the entries are
+    mirrored = key(j, i, np.where(only_second, 0, back))
+    contact = np.searchsorted(keys, np.where(own, key(i, j, k), mirrored))
+    # A reaction acts on the second ball itself, the contact on its image k: turn back by that much.
+    turn = np.where(own, 0, k)
+    return i, contact, np.where(own, 1.0, -1.0), turn, (i[own], j[own], k[own])
+
+
+def carry_springs(old: Network, new: Network, springs: Vector) -> Vector:
+    """Springs (C,) of the old list's contacts, each at its place (i, j, k) in the new list (host).
 
     A contact that the new list does not hold is open, and its spring is dropped. Both lists must describe every
-    ball by the same image, as `rebuild` does.
+    ball by the same image.
     """
-    images = old.sector.images
+    count, images = old.radius.size, old.sector.images
 
     def keys(network):
-        neighbor = np.asarray(network.neighbor, np.int64)
-        ball = np.arange(neighbor.shape[1])
-        key = (ball * neighbor.shape[1] + neighbor) * images + np.asarray(network.image)
-        return np.where(neighbor >= 0, key, -1)
+        first, second, image = (np.asarray(a, np.int64) for a in (network.first, network.second, network.image))
+        return np.where(image >= 0, (first * count + second) * images + image, -1)
 
-    before, after = keys(old).ravel(), keys(new).ravel()
+    before, after = keys(old), keys(new)
     order = np.argsort(before)
-    place = np.minimum(np.searchsorted(before, after, sorter=order), before.size - 1)
-    found = (before[order[place]] == after) & (after >= 0)
-    flat = np.asarray(springs).reshape(3, -1)[:, order[place]] * found
-    return flat.reshape(3, *new.neighbor.shape)
+    place = order[np.minimum(np.searchsorted(before, after, sorter=order), before.size - 1)]
+    found = (before[place] == after) & (after >= 0)
+    return from_rows([np.asarray(component)[place] * found for component in springs])

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from axijax.contact import Contacts, contact_force
-from axijax.dynamics import Params, Scene, State, all_forces
-from axijax.membrane import Membrane, membrane_radius
+from axijax.contact import contact_friction, geometry
+from axijax.dynamics import Forces, Params, Scene, State, all_forces, positions
+from axijax.membrane import Load, Membrane, lateral_force, membrane_radius
 from axijax.neighbors import Network
 from axijax.sector import radial_distance
 
@@ -16,14 +16,13 @@ class Observation(NamedTuple):
     """Measured at one moment; every field a scalar.
 
     stress_ratio: R = s1/s3 with s1 = platen force / area of the sector of radius Rm (Cui & O'Sullivan 2005) [-].
-    virial_ratio: F H / (1/2 sum F_i rho_i), platen force F against the membrane's radial forces F_i; no area in it [-].
+    virial_ratio: F H / (1/2 sum F_i rho_i), platen force F against the lateral load F_i at rho_i; no area in it [-].
     core_ratio: vertical over mean horizontal Love-Weber stress of the balls within rho < Rm/2 and the middle 60 %
         of the height [-].
     height, membrane_radius: distance of the platens and radius Rm [L].
     coordination_number: mean number of touching contacts of a ball, platens not counted [-].
     unbalanced_force: mean resultant on a ball over mean contact force [-].
     sliding_fraction: share of the touching contacts at the Coulomb limit [-].
-    top_and_bottom: difference of the two platen forces over their mean [-].
     """
 
     stress_ratio: jax.Array
@@ -34,58 +33,54 @@ class Observation(NamedTuple):
     coordination_number: jax.Array
     unbalanced_force: jax.Array
     sliding_fraction: jax.Array
-    top_and_bottom: jax.Array
 
 
 def observe(
-    scene: Scene, params: Params, network: Network, membrane: Membrane, areas: jax.Array, dt, state: State
+    scene: Scene, params: Params, network: Network, membrane: Membrane, load: Load, dt, state: State
 ) -> Observation:
     """Measure a state; arguments as in `axijax.dynamics.all_forces`."""
-    forces = all_forces(scene, params, network, areas, dt, state)
-    positions = network.positions + state.displacement
-    share = network.weight
-    radius = membrane_radius(membrane, positions)
+    forces = all_forces(scene, params, network, load, dt, state)
+    place = positions(network, state)
     height = state.platens[1] - state.platens[0]
-    platen_forces = (forces.platen_push * share).sum(axis=1)
-    platen_force = platen_forces.mean()
-    rho = radial_distance(positions)
-    radial = params.confining_stress * areas
-    area = 0.5 * network.sector.angle * radius**2
+    platen_force = jnp.stack([(push * network.weight).sum() for push in forces.platen_push]).mean()
+    lateral = lateral_force(params.confining_stress, load, place)
 
-    contacts = forces.contacts
-    touching = (contacts.overlap > 0) * share
+    force = forces.contacts.force
+    branch = geometry(network, state.displacement)
+    normal = branch.apart * (1 / jnp.sqrt(branch.apart.dot(branch.apart)))
+    normal_force = force.dot(normal)
+    touching = (branch.overlap > 0) * network.share
     number = touching.sum()
-    some = jnp.maximum(number, 1.0)
-    mean_force = (contacts.normal_force * share).sum() / some
-    size = jnp.sqrt((forces.resultant**2).sum(axis=0) + 1e-300)
-    sliding = jnp.zeros(()) if contacts.sliding is None else (contacts.sliding * share).sum() / some
+    some = jnp.maximum(number, 1e-300)
+    mean_force = (normal_force * network.share).sum() / some
+    resultant = jnp.sqrt(forces.resultant.dot(forces.resultant) + 1e-300)
+    sliding = jnp.zeros_like(number)
+    if forces.contacts.moment_arm is not None:
+        limit = contact_friction(params, network) * normal_force
+        tangential = force - normal * normal_force
+        sliding = ((tangential.dot(tangential) >= ((1 - 1e-6) * limit) ** 2) * touching).sum() / some
     return Observation(
-        stress_ratio=platen_force / area / params.confining_stress,
-        virial_ratio=platen_force * height / (0.5 * (radial * rho).sum()),
-        core_ratio=core_stress_ratio(network, contacts, positions, radius, state.platens),
+        stress_ratio=platen_force / load.section / params.confining_stress,
+        virial_ratio=platen_force * height / jnp.maximum(-0.5 * lateral.dot(place).sum(), 1e-300),
+        core_ratio=core_stress_ratio(network, forces, normal, place, membrane_radius(membrane, place), state.platens),
         height=height,
-        membrane_radius=radius,
-        coordination_number=number / share.sum(),
-        unbalanced_force=(size * share).sum() / share.sum() / jnp.maximum(mean_force, 1e-300),
+        membrane_radius=membrane_radius(membrane, place),
+        coordination_number=2 * number / network.weight.sum(),
+        unbalanced_force=(resultant * network.weight).sum() / network.weight.sum() / jnp.maximum(mean_force, 1e-300),
         sliding_fraction=sliding,
-        top_and_bottom=(platen_forces[1] - platen_forces[0]) / jnp.maximum(platen_force, 1e-300),
     )
 
 
-def ball_moments(network: Network, contacts: Contacts) -> jax.Array:
-    """Each ball's share of the Love-Weber stress times volume: sum over its contacts of force times branch half;
-    (3, 3, N) [F L], compression positive. Divide a sum over balls by the volume they stand for."""
-    return jnp.einsum("akn,bkn->abn", contact_force(contacts), contacts.normal) * network.radius
+def core_stress_ratio(network: Network, forces: Forces, normal, place, radius, platens) -> jax.Array:
+    """Vertical over mean horizontal Love-Weber stress of the inner core; the horizontal mean is the same for all images.
 
-
-def core_stress_ratio(network, contacts, positions, radius, platens) -> jax.Array:
-    """Vertical over mean horizontal Love-Weber stress of the inner core; the horizontal mean turns with no image."""
+    Each ball adds force times arm of its own half of a contact; the core's volume drops out of the ratio.
+    """
     middle, height = platens.mean(), platens[1] - platens[0]
-    rho = radial_distance(positions)
-    core = (rho < radius / 2) & (jnp.abs(positions[2] - middle) < 0.3 * height)
-    force = contact_force(contacts)
-    weight = core * network.weight * network.radius
-    along = [(force[axis] * contacts.normal[axis] * weight).sum() for axis in range(3)]
-    horizontal = 0.5 * (along[0] + along[1])
-    return jnp.where(horizontal > 0, along[2] / jnp.where(horizontal > 0, horizontal, 1.0), jnp.nan)
-
+    inside = (radial_distance(place) < radius / 2) & (jnp.abs(place.z - middle) < 0.3 * height)
+    arm = network.radius * inside
+    arm = network.share * (arm[network.first] + arm[network.second])
+    force = forces.contacts.force
+    vertical = (force.z * normal.z * arm).sum()
+    horizontal = 0.5 * ((force.x * normal.x + force.y * normal.y) * arm).sum()
+    return jnp.where(horizontal > 0, vertical / jnp.where(horizontal > 0, horizontal, 1.0), jnp.nan)

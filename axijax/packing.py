@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from axijax.sector import Sector
+from axijax.sector import Sector, plane_normals
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def cut_to_sector(specimen: Specimen, sector: Sector) -> Specimen:
     """
     positions, radius = specimen.positions, specimen.radius
     if sector.boundary == "rigid":
-        inside = (plane_distances(positions, sector) > radius * (1 - 1e-9)).all(axis=0)
+        inside = (plane_normals(sector) @ positions[:2] > radius * (1 - 1e-9)).all(axis=0)
         kept = inside & (sector.angle_of(positions) < sector.angle)
         if not kept.any():
             raise ValueError(
@@ -105,13 +105,6 @@ def cut_to_sector(specimen: Specimen, sector: Sector) -> Specimen:
             f"(a ball is off by {distance.max():.3g}); an FCC prism with a vertical cube axis takes n = 1, 2 or 4."
         )
     return specimen.select((sector.home_image(positions) == 0) | sector.on_axis(positions, radius))
-
-
-def plane_distances(positions, sector: Sector):
-    """Distance of positions (3, N) from the planes theta = 0 and theta = 2*pi/n, positive inside; (2, N) [L]."""
-    cos, sin = (float(value) for value in sector.cos_sin(1))
-    outward = np.array([[0.0, -1.0], [-sin, cos]])
-    return -outward @ positions[:2]
 
 
 def fcc_octagon(radius: float = 20.0, layers: int = 25, half_width: int = 9, diagonal: int | None = None) -> Specimen:

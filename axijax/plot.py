@@ -20,7 +20,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 def stress_ratio_figure(rows) -> Figure:
     """Stress ratio against axial strain of Table 1's runs, like figure 4(a) of the paper, with Thornton's lines."""
-    figure = Figure(figsize=(8, 5.5))
+    figure = Figure(figsize=(10, 5.5), layout="constrained")
     axes = figure.add_subplot()
     styles = {"periodic": "-", "rigid": "--", "full": ":"}
     for row in rows:
@@ -44,7 +44,8 @@ def stress_ratio_figure(rows) -> Figure:
         if run.boundary == "periodic":
             axes.axhline(values["theory"], color=colour, lw=0.8, alpha=0.6)
             axes.text(0.985, values["theory"] + 0.02, f"Thornton, f = {run.friction:g}", color=colour, size=8, ha="right")
-    axes.plot([], [], "o", color="grey", label="paper's peaks (open squares: rigid planes, full system)")
+    axes.plot([], [], "o", color="grey", label="paper's peaks, periodic planes")
+    axes.plot([], [], "s", color="grey", mfc="white", label="paper's peaks, rigid planes and full system")
     axes.set(
         xlim=(0, 1), ylim=(1, 4), xlabel="axial strain [%]", ylabel="stress ratio s1/s3 [-]",
         title="FCC specimen, triaxial compression (Cui & O'Sullivan 2005, figure 4a)",
@@ -57,10 +58,14 @@ def stress_ratio_figure(rows) -> Figure:
 def local_shear(test: TriaxialTest, displacement: np.ndarray) -> np.ndarray:
     """How far each ball has moved against its first neighbours, the largest relative displacement over a diameter; (N,)."""
     network = test.network
-    neighbour, image = np.asarray(network.neighbor), np.asarray(network.image)
-    turned = test.sector.rotate(displacement[:, np.maximum(neighbour, 0)], image)
-    relative = np.linalg.norm(displacement[:, None] - turned, axis=0)
-    return np.where(neighbour >= 0, relative, 0.0).max(axis=0) / (2 * test.cut.radius)
+    listed = np.asarray(network.image) >= 0
+    first, second, image = (np.asarray(a)[listed] for a in (network.first, network.second, network.image))
+    relative = displacement[:, first] - test.sector.rotate(displacement[:, second], image)
+    size = np.linalg.norm(relative, axis=0)
+    largest = np.zeros(len(test.cut))
+    np.maximum.at(largest, first, size)
+    np.maximum.at(largest, second, size)
+    return largest / (2 * test.cut.radius)
 
 
 def deformed_figure(test: TriaxialTest, run: Run) -> Figure:
@@ -84,12 +89,13 @@ def deformed_figure(test: TriaxialTest, run: Run) -> Figure:
     colours = matplotlib.colors.Normalize(0.0, max(float(np.quantile(shear, 0.98)), 1e-12))
     curve = run.curve
 
-    figure = Figure(figsize=(13, 6.4))
-    outside, section, plan = figure.subplots(1, 3, width_ratios=(1, 1, 1))
+    figure = Figure(figsize=(13.5, 6.2), layout="constrained")
+    outside, section, plan = figure.subplots(1, 3, width_ratios=(1, 1, 1.05))
+    cut_open = (y > -0.3 * unit) & (y < 1.3 * unit)
     views = (
         (outside, np.ones(x.size, bool), x, z, y, "from outside"),
-        (section, np.abs(y) < 0.6 * unit, x, z, y, "section through the axis"),
-        (plan, np.abs(z - (bottom + top) / 2) < 1.2 * unit, x, y, z, "plan of the two middle layers"),
+        (section, cut_open, x, z, y, "section beside the axis"),
+        (plan, np.abs(z - (bottom + top) / 2) < 1.8 * unit, x, y, z, "plan at mid-height"),
     )
     for axes, shown, across, up, depth, title in views:
         order = np.flatnonzero(shown)
@@ -108,7 +114,7 @@ def deformed_figure(test: TriaxialTest, run: Run) -> Figure:
         for height in (bottom, top):
             axes.axhline(height / unit, color="0.2", lw=3)
         axes.set(xlim=(-12.5, 12.5), ylim=(bottom / unit - 1, top / unit + 1), ylabel="z / r")
-    lines = np.flatnonzero(np.abs(y) < 0.6 * unit)
+    lines = np.flatnonzero(cut_open)
     section.quiver(
         x[lines] / unit, z[lines] / unit, moved[0][lines] / unit, moved[2][lines] / unit,
         angles="xy", scale_units="xy", scale=1, width=0.003, color="#1d3557",
@@ -123,8 +129,8 @@ def deformed_figure(test: TriaxialTest, run: Run) -> Figure:
     plan.legend(loc="lower right", fontsize=8)
     plan.set(xlim=(-12.5, 12.5), ylim=(-12.5, 12.5), ylabel="y / r")
     figure.colorbar(
-        matplotlib.cm.ScalarMappable(colours, "YlOrRd"), ax=[outside, section, plan], shrink=0.8, pad=0.02,
-        label="displacement relative to first neighbours / ball diameter",
+        matplotlib.cm.ScalarMappable(colours, "YlOrRd"), ax=[outside, section, plan], shrink=0.7, pad=0.01,
+        label="displacement relative to first neighbours / diameter",
     )  # fmt: skip
     figure.suptitle(
         f"Deformed specimen, f = {float(test.params.friction):g}, axial strain {100 * float(curve.axial_strain[-1]):.1f} %"

@@ -13,8 +13,11 @@ a ball then has no image but itself.
 from dataclasses import dataclass
 from typing import Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+
+from axijax.vector import Vector
 
 Boundary = Literal["periodic", "rigid"]
 
@@ -68,7 +71,8 @@ class Sector:
 
     def rotate(self, vectors: np.ndarray, k: np.ndarray | int) -> np.ndarray:
         """Rotate vectors (3, ...) about z to image k (host, NumPy). k: broadcastable to vectors.shape[1:]."""
-        return np.stack(turn(vectors, *self.cos_sin(k)))
+        (x, y, z), (cos, sin) = vectors, self.cos_sin(k)
+        return np.stack([cos * x - sin * y, sin * x + cos * y, np.broadcast_to(z, np.shape(cos * x))])
 
     def angle_of(self, positions: np.ndarray) -> np.ndarray:
         """Polar angle of positions (3, N) in [0, 2*pi), rounding noise just below 2*pi counted as 0."""
@@ -96,13 +100,13 @@ class Sector:
         return np.where(on_axis, 1.0 / self.images, 1.0)
 
 
-def turn(vectors, cos, sin):
-    """Components of vectors (3, ...) rotated about z by an angle given as its cosine and sine; a tuple of three."""
-    x, y, z = vectors
-    return cos * x - sin * y, sin * x + cos * y, z
+def plane_normals(sector: Sector) -> np.ndarray:
+    """Unit normals of the planes theta = 0 and theta = 2*pi/n that point into the sector; (2, 2), rows of x and y."""
+    cos, sin = (float(value) for value in sector.cos_sin(1))
+    return np.array([[0.0, 1.0], [sin, -cos]])
 
 
-def radial_distance(positions: jnp.ndarray) -> jnp.ndarray:
-    """Distance rho from the axis of positions (3, N) [L], with a finite derivative (zero) on the axis."""
-    square = positions[0] ** 2 + positions[1] ** 2
+def radial_distance(positions: Vector) -> jax.Array:
+    """Distance rho of positions (N,) from the axis [L], with a finite derivative (zero) on the axis."""
+    square = positions.x**2 + positions.y**2
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)

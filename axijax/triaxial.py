@@ -23,17 +23,19 @@ from axijax.dynamics import (
     Params,
     Scene,
     State,
-    ball_mass,
     check_params,
     critical_time_step,
     initial_state,
     make_step,
+    mass_per_cube,
+    positions,
 )
-from axijax.membrane import Membrane, build_membrane, cell_areas, stale_cells, zone_found_again
+from axijax.membrane import Load, Membrane, build_membrane, membrane_load, stale_cells, zone_found_again
 from axijax.neighbors import Network, build_network, carry_springs
 from axijax.observe import Observation, observe
 from axijax.packing import Specimen, cut_to_sector
 from axijax.sector import Sector, radial_distance
+from axijax.vector import zeros
 
 SEGMENT = 1000  # steps between looks at the run from outside: progress, rebuilding, errors
 STALE = 1e-3  # largest share of the strip's area that may be counted to the wrong cell
@@ -126,6 +128,9 @@ class TriaxialTest:
     time_step: [T]; None takes 0.6 of the critical one.
     record_every: steps between records; the membrane's cells are found again as often.
     refresh: whether they are found again at all.
+    confine_steps: most steps spent on confinement.
+    tolerance: unbalanced force and stress error at which confinement ends [-].
+    lateral_load: a constant load in place of the membrane's (see `membrane.Load`).
 
     Raises ValueError for parameters, specimens and steps that make no sense.
     """
@@ -140,6 +145,7 @@ class TriaxialTest:
     refresh: bool = True
     confine_steps: int = 20_000
     tolerance: float = 1e-7
+    lateral_load: Load | None = None
     network: Network = field(init=False, repr=False)
     membrane: Membrane = field(init=False, repr=False)
     cut: Specimen = field(init=False, repr=False)
@@ -212,23 +218,23 @@ class TriaxialTest:
         if not float(max(balance.unbalanced_force, balance.stress_error)) <= self.tolerance:
             raise_for_status(NOT_CONFINED)
         state = _start_shear(self.scene, network, confined)
-        areas = _areas(membrane, network, state)
+        fixed = _fixed_load(self.protocol, self._numbers(network, membrane), state)
         height = float(state.platens[1] - state.platens[0])
         stretch = replace(self.protocol, blocks=-(-SEGMENT // self.record_every))
         records: list[Observation] = []
         strain = 0.0
         while strain < self.axial_strain:
             numbers = self._numbers(network, membrane)
-            state, seen, status = _shear(self.scene, stretch, numbers, params, state, areas)
+            state, seen, status = _shear(self.scene, stretch, numbers, params, state, fixed)
             records.append(jax.tree.map(np.asarray, seen))
             raise_for_status(status, make_curve(_join(records), balance))
             strain = 1 - float(state.platens[1] - state.platens[0]) / height
             if progress is not None:
                 progress(strain, float(records[-1].stress_ratio[-1]))
-            moved = float(jnp.sqrt((state.displacement**2).sum(axis=0).max()))
-            stale = _stale(membrane, network, state) if self.refresh else 0.0
-            if strain < self.axial_strain and (4 * moved > float(network.skin) or stale > STALE / 2):
-                cut, network, membrane, state = _rebuilt(cut, network, membrane, state, self.refresh)
+            stale = float(_stale(membrane, network, state)) if fixed is None else 0.0
+            worn = 4 * float(_farthest(state)) > float(network.skin) or stale > STALE / 2
+            if worn and strain < self.axial_strain:
+                cut, network, membrane, state = _rebuilt(cut, network, membrane, state)
         curve = make_curve(_join(records), balance)
         wanted = np.asarray(curve.axial_strain) <= self.axial_strain
         curve = replace(curve, **{f.name: getattr(curve, f.name)[wanted] for f in fields(Curve) if f.name not in WHOLE})
@@ -236,7 +242,7 @@ class TriaxialTest:
 
     def _numbers(self, network: Network, membrane: Membrane):
         platens = jnp.asarray([self.cut.bottom, self.cut.top])
-        return network, membrane, platens, self.time_step, self.ramp_time
+        return network, membrane, platens, self.time_step, self.ramp_time, self.lateral_load
 
 
 class Run(NamedTuple):
@@ -250,7 +256,7 @@ class Run(NamedTuple):
     @property
     def positions(self) -> np.ndarray:
         """Ball centres at the end, (3, N) [L]; ball i is ball i of the test's `cut` throughout."""
-        return np.asarray(self.network.positions + self.state.displacement)
+        return np.asarray(positions(self.network, self.state))
 
 
 def raise_for_status(status, curve: Curve | None = None) -> None:
@@ -265,33 +271,27 @@ def _join(records: list[Observation]) -> Observation:
     return Observation(*(np.concatenate(values) for values in zip(*records, strict=True)))
 
 
-def _rebuilt(cut: Specimen, network: Network, membrane: Membrane, state: State, refresh: bool):
+def _rebuilt(cut: Specimen, network: Network, membrane: Membrane, state: State):
     """Contact list and membrane built again from the current positions, springs carried over (host).
 
-    Every ball keeps its number and its image; the list is padded so that the next rebuild keeps its shape.
+    Every ball keeps its number and its image. The arrays keep their shapes where they are large enough, or else are
+    made with room to spare: a new shape is compiled anew.
     """
     sector = network.sector
-    now = replace(
-        cut,
-        positions=np.asarray(network.positions + state.displacement),
-        bottom=float(state.platens[0]),
-        top=float(state.platens[1]),
-    )
-    if refresh:
-        now = replace(now, membrane_zone=zone_found_again(now, sector))
+    bottom, top = (float(height) for height in state.platens)
+    now = replace(cut, positions=np.asarray(positions(network, state)), bottom=bottom, top=top)
+    now = replace(now, membrane_zone=zone_found_again(now, sector))
     skin, roomy = 0.8 * float(now.radius.min()), 0.5
     new = build_network(now, sector, skin, largest_overlap=roomy)
-    # Keep the arrays' shapes where they are large enough, or else leave room: a new shape is compiled anew.
-    width = max(new.neighbor.shape[0], network.neighbor.shape[0])
-    copies, room = new.copy_of.size, network.copy_of.size
-    copies = room if copies <= room else int(1.1 * copies)
-    new = build_network(now, sector, skin, width, copies, roomy)
-    surface, room = build_membrane(now, sector), membrane.corner.shape[1]
-    triangles = surface.corner.shape[1]
+    width = max(new.slot.shape[0], network.slot.shape[0])
+    contacts, room = new.first.size, network.first.size
+    new = build_network(now, sector, skin, width, room if contacts <= room else int(1.1 * contacts), roomy)
+    surface = build_membrane(now, sector)
+    triangles, room = surface.corner.shape[1], membrane.corner.shape[1]
     surface = build_membrane(now, sector, room if triangles <= room else int(1.1 * triangles))
-    state = state._replace(displacement=jnp.zeros_like(state.displacement))
+    state = state._replace(displacement=zeros(network.radius.shape, network.dtype))
     if state.spring is not None:
-        state = state._replace(spring=jnp.asarray(carry_springs(network, new, np.asarray(state.spring))))
+        state = state._replace(spring=carry_springs(network, new, state.spring))
     return now, new, surface, state
 
 
@@ -304,7 +304,7 @@ def _wave_speed(params: Params, network: Network):
 
 @partial(jax.jit, static_argnums=0)
 def _confine(protocol: Protocol, numbers, params: Params) -> tuple[State, Confinement]:
-    network, membrane, platens, dt, _ = numbers
+    network, membrane, platens, dt, _, fixed = numbers
     scene = Scene(rotation=False, friction=False, damping="background")
     # The slowest mode, half a wave along the specimen, is damped critically; the others settle within it.
     rate = 2 * jnp.pi * _wave_speed(params, network) / (platens[1] - platens[0])
@@ -318,14 +318,14 @@ def _confine(protocol: Protocol, numbers, params: Params) -> tuple[State, Confin
 
     def block(carry):
         state, balance = carry
-        areas = _areas(membrane, network, state)
-        state = _repeat(lambda s: step(params, network, areas, dt, s), CONFINE_BLOCK, state)
-        seen = observe(scene, params, network, membrane, areas, dt, state)
+        load = _load(membrane, network, state, fixed)
+        state = _repeat(lambda s: step(params, network, load, dt, s), CONFINE_BLOCK, state)
+        seen = observe(scene, params, network, membrane, load, dt, state)
         stress_error = jnp.abs(seen.stress_ratio - 1)
         return state, Confinement(seen.unbalanced_force, stress_error, balance.steps + CONFINE_BLOCK)
 
     state = initial_state(network, scene, platens)
-    one = jnp.ones((), network.positions.dtype)
+    one = jnp.ones((), network.dtype)
     return jax.lax.while_loop(unsettled, block, (state, Confinement(one, one, jnp.zeros((), jnp.int32))))
 
 
@@ -336,11 +336,12 @@ def _repeat(function, times: int, state: State) -> State:
 def _servo(network: Network):
     """Platens carried by s3: each has the mass of one layer of balls and is damped like them."""
 
-    def drive(params, state, dt, push, area):
-        height = state.platens[1] - state.platens[0]
-        radius = area / (network.sector.angle * height)  # the cells tile the strip
-        load = params.confining_stress * 0.5 * network.sector.angle * radius**2
-        mass = (ball_mass(params, network) * network.weight).sum() * 2 * network.radius.mean() / height
+    layers = (network.positions.z.max() - network.positions.z.min()) / (2 * network.radius.mean()) + 1
+    cubes = (network.weight * network.radius**3).sum() / layers
+
+    def drive(params, state, dt, push, section):
+        load = params.confining_stress * section
+        mass = mass_per_cube(params) * cubes
         half = 0.5 * dt * params.background_damping
         inward = jnp.array([1.0, -1.0], push.dtype) * (load - push) / mass
         return ((1 - half) * state.platen_speeds + dt * inward) / (1 + half)
@@ -351,53 +352,68 @@ def _servo(network: Network):
 def _ramp(ramp_time):
     """Platens moved inward at the platen speed, which is reached smoothly after ramp_time."""
 
-    def drive(params, state, dt, push, area):
+    def drive(params, state, dt, push, section):
         x = jnp.clip((state.time + dt) / ramp_time, 0.0, 1.0)
         return jnp.array([1.0, -1.0], push.dtype) * params.platen_speed * x * x * (3 - 2 * x)
 
     return drive
 
 
-def _areas(membrane, network, state):
-    return cell_areas(membrane, network.positions + state.displacement, state.platens[0], state.platens[1])
+def _load(membrane: Membrane, network: Network, state: State, fixed: Load | None = None) -> Load:
+    if fixed is not None:
+        return fixed
+    return membrane_load(membrane, positions(network, state), state.platens[0], state.platens[1])
 
 
 def _stale(membrane, network, state):
-    return stale_cells(membrane, network.positions + state.displacement, state.platens[0], state.platens[1])
+    return stale_cells(membrane, positions(network, state), state.platens[0], state.platens[1])
+
+
+def _fixed_load(protocol: Protocol, numbers, start: State) -> Load | None:
+    """The load that does not change during shear: one that was given, or the membrane's first where it is not
+    refreshed. None where the membrane's cells are followed."""
+    network, membrane, *_, given = numbers
+    if given is None and not protocol.refresh:
+        return _load(membrane, network, start)
+    return given
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _shear(scene: Scene, protocol: Protocol, numbers, params: Params, state: State, first_areas):
+def _shear(scene: Scene, protocol: Protocol, numbers, params: Params, state: State, fixed: Load | None):
     """Shear on from a state: the state after all blocks, with the observation and the status before each block.
 
-    first_areas: (N,) the membrane cells' areas where they are not refreshed [L^2].
+    fixed: the lateral load where it does not follow the membrane's cells.
     """
-    network, membrane, _, dt, ramp_time = numbers
+    network, membrane, _, dt, ramp_time, _ = numbers
     step = make_step(scene, _ramp(ramp_time))
 
     def block(state, _):
-        areas = _areas(membrane, network, state) if protocol.refresh else first_areas
-        seen = observe(scene, params, network, membrane, areas, dt, state)
-        status = _trouble(network, membrane, state, protocol.refresh)
-        state = _repeat(lambda s: step(params, network, areas, dt, s), protocol.block_steps, state)
+        load = _load(membrane, network, state, fixed)
+        seen = observe(scene, params, network, membrane, load, dt, state)
+        status = _trouble(network, membrane, state, follows=fixed is None)
+        state = _repeat(lambda s: step(params, network, load, dt, s), protocol.block_steps, state)
         return state, (seen, status)
 
     state, (seen, status) = jax.lax.scan(block, state, None, length=protocol.blocks)
     return state, seen, status
 
 
-def _trouble(network: Network, membrane: Membrane, state: State, refresh: bool) -> jax.Array:
-    """Status bits of one state."""
-    positions = network.positions + state.displacement
-    moved = jnp.sqrt((state.displacement**2).sum(axis=0).max())
-    rho = radial_distance(positions)
-    outer = rho[membrane.zone]
-    bits = jnp.where(jnp.isfinite(state.displacement).all() & jnp.isfinite(state.velocity).all(), 0, NOT_FINITE)
-    bits |= jnp.where(2 * moved > network.skin, STALE_LIST, 0)
-    if refresh:
+def _trouble(network: Network, membrane: Membrane, state: State, *, follows: bool) -> jax.Array:
+    """Status bits of one state; follows: the membrane's cells follow the balls."""
+    place = positions(network, state)
+    rho = radial_distance(place)
+    finite = jnp.stack([jnp.isfinite(part).all() for part in (*state.displacement, *state.velocity)]).all()
+    bits = jnp.where(finite, 0, NOT_FINITE)
+    bits |= jnp.where(2 * _farthest(state) > network.skin, STALE_LIST, 0)
+    if follows:
         bits |= jnp.where(_stale(membrane, network, state) > STALE, STALE_CELLS, 0)
-    inside = (positions[2] > state.platens[0]) & (positions[2] < state.platens[1]) & (rho < 1.5 * jnp.mean(outer))
+    outer = jnp.mean(rho[membrane.zone])
+    inside = (place.z > state.platens[0]) & (place.z < state.platens[1]) & (rho < 1.5 * outer)
     return bits | jnp.where(inside.all(), 0, ESCAPED)
+
+
+def _farthest(state: State):
+    return jnp.sqrt(state.displacement.dot(state.displacement).max())
 
 
 def _start_shear(scene: Scene, network: Network, confined: State) -> State:
@@ -411,10 +427,10 @@ def _simulate(scene: Scene, protocol: Protocol, numbers, params: Params) -> Curv
     network, membrane, *_ = numbers
     confined, balance = _confine(protocol, numbers, params)
     start = _start_shear(scene, network, confined)
-    state, seen, status = _shear(scene, protocol, numbers, params, start, _areas(membrane, network, start))
+    state, seen, status = _shear(scene, protocol, numbers, params, start, _fixed_load(protocol, numbers, start))
     settled = jnp.maximum(balance.unbalanced_force, balance.stress_error) <= protocol.tolerance
     status = jnp.bitwise_or.reduce(status) | jnp.where(settled, 0, NOT_CONFINED)
-    status |= _trouble(network, membrane, state, protocol.refresh)
+    status |= _trouble(network, membrane, state, follows=protocol.refresh and numbers[5] is None)
     return make_curve(seen, balance, status)
 
 

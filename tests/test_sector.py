@@ -133,7 +133,7 @@ def orbit(sector, params, motion, first_turns):
     contacts are relabelled. The records are turned back, to where the balls would be without a sector.
     """
     platens = (0.0, PLATEN_GAP)
-    build = partial(build_network, sector=sector, skin=0.5, width=1)
+    build = partial(build_network, sector=sector, skin=0.5, width=1, copies=2)
     trap = TRAP_RATE**2 * jnp.ones(2)
     turns = np.array(first_turns)
     motion = turned(sector, motion, turns)
@@ -375,9 +375,9 @@ def test_any_choice_of_representatives_runs_identically(order):
 
 
 def crowded(order, rng):
-    """Unequal balls thrown one by one into a sector, each at least touching nothing deeper than 3 % of the radius."""
+    """Unequal balls thrown one by one into a sector, none overlapping another by more than 3 % of the radius."""
     sector = Sector(order)
-    positions, radius = polar((0, 0, 0)), np.array([0.8])
+    positions, radius = polar((0, 0, 0), (1.5, 10, 0)), np.array([0.8, 0.72])
     while radius.size < 14:
         new = polar((5 * np.sqrt(rng.uniform()), rng.uniform(0, 360 / order), rng.uniform(-2, 2)))
         size = rng.uniform(0.5, 1.0)

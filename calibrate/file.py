@@ -1,0 +1,44 @@
+"""A measured file in, a calibrated test out: what `axijax calibrate DATA.csv` calls."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from calibrate.fit import fit_parameters
+from calibrate.gradients import gradient
+from calibrate.measured import MeasuredCurve
+from calibrate.model import Model
+from calibrate.parameters import ParameterSet
+from calibrate.result import Fit
+from calibrate.targets import WindowMean
+
+
+def calibrate_file(data, names: Sequence[str] | str, test, output, *, check: bool = True, report=print, **columns) -> Fit:
+    """Fit named parameters of a test to a measured curve in a CSV file, and write everything to a folder.
+
+    data: path of the CSV file; names: list of names or aliases, or one string with commas; test: a TriaxialTest, whose
+    parameters are the reference for whatever is not fitted and whose axial_strain the data must not exceed.
+    output: folder for fit.json, fit.png and evaluations.jsonl (an interrupted fit resumes from it).
+    check: end with the health of the gradient at the answer (six runs a parameter).
+    report: called with each line of text. columns: of MeasuredCurve.from_csv, such as unit="percent", sign=-1.
+
+    Raises DataError for data that cannot be used, ValueError for names and strains that make no sense, RunFailed where no
+    start gives a sound run.
+    """
+    curve = MeasuredCurve.from_csv(data, **columns)
+    model = Model(test, ParameterSet.of(test.params, names))
+    output = Path(output)
+    output.mkdir(parents=True, exist_ok=True)
+    found = fit_parameters(model, curve, names, log=output / "evaluations.jsonl")
+    found.save(output / "fit.json")
+    found.draw(output / "fit.png")
+    report(str(found))
+    if check:
+        stop = curve.last_strain
+        window = WindowMean(0.5 * stop, stop)
+        slopes = gradient(model, window, values=found.estimate, steps=(1e-3, 1e-4))
+        report(f"gradient of the {window.name} at the answer")
+        report(str(slopes))
+        if not slopes.health.healthy:
+            report("take jacobian='difference' in calibrate.fit_parameters, or fit only the curve below the usable strain.")
+    report(f"written: {output / 'fit.json'}, {output / 'fit.png'}, {output / 'evaluations.jsonl'}")
+    return found

@@ -1,0 +1,277 @@
+"""Least-squares fits of a few parameters, through scipy.optimize.least_squares with tangents for the Jacobian.
+
+The economical way, the default (PHYSICS 3.3 and issue 6 for the counts behind it): one run at the start, a second point by
+the rule of `start.py`, there one pass with tangents, and after that single runs, with the tangents kept while the misfit
+falls fast and the stiffness column always fresh and free from the strain stretch. The fit stops when the step that the
+linear model still wants is below the tolerance or a tenth of a standard error. A failed run is a rejected step.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from calibrate.evaluate import Evaluation, Evaluator
+from calibrate.model import Model, RunFailed
+from calibrate.parameters import ALIASES, ParameterSet, Prior, to_coordinate
+from calibrate.result import Fit, uncertainty
+from calibrate.start import corrected_by_run, start_by_rule
+
+Jacobian = Literal["economical", "tangent", "difference"]
+DIFFERENCE_STEP = 1e-4  # of the coordinates, for jacobian="difference"
+GOOD_PROGRESS = 0.3  # tangents are kept while the misfit that they can explain falls below this share of what it was
+RULE_RUNS, RULE_MOVE = 4, 0.3  # most runs by the rule; the move of a coordinate after which tangents take over
+
+
+class _Stop(Exception):
+    """Enough: the fit has converged or spent its runs."""
+
+
+def fit_parameters(
+    simulator,
+    targets,
+    names: Sequence[str] | str,
+    *,
+    start: Mapping[str, float] | Literal["rule", "test"] = "rule",
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    priors: Mapping[str, Prior] | None = None,
+    jacobian: Jacobian = "economical",
+    by_rule: bool = True,
+    tolerance: float = 1e-3,
+    max_runs: float = 60,
+    starts: int = 1,
+    seed: int = 0,
+    log: str | Path | None = None,
+) -> Fit:
+    """Fit named parameters of a test to measured numbers and curves.
+
+    simulator: a TriaxialTest (or anything with `params` and `simulate`), or a Model made before.
+    targets: one or several of Datum and MeasuredCurve.
+    names: parameters or aliases: f, kn, ks, ks/kn, s3, beta, rho (see calibrate.parameters).
+    start: "rule" (friction from the peak by Thornton's inverse, kn from the rise), "test" (the test's own), or values.
+    bounds: {name: (lower, upper)} physical. priors: {name: Prior}.
+    jacobian: "economical" (see the module), "tangent" (a fresh pass at every point), "difference" (two-point, step 1e-4:
+        on smooth runs it beats a tangent that costs more than about 0.7 of a run, and fails where runs scatter).
+    by_rule: let the second point be the rule scaled by the first run.
+    tolerance: smallest step of a log or logit that is still worth a run [-].
+    max_runs: forward-equivalent runs after which to stop.
+    starts: with more than one, so many random starts within the bounds are run first and the best is fitted from.
+    log: file for every evaluation; named again it resumes.
+
+    Raises ValueError for what cannot be fitted (fewer numbers than parameters, say), RunFailed where no start gives a
+    sound run.
+    """
+    if jacobian not in ("economical", "tangent", "difference"):
+        raise ValueError(f"jacobian = {jacobian!r}: must be 'economical', 'tangent' or 'difference'.")
+    if not (np.isfinite(tolerance) and tolerance > 0):
+        raise ValueError(f"tolerance = {tolerance!r}: must be positive.")
+    model = simulator if isinstance(simulator, Model) else Model(simulator, ParameterSet.of(simulator.params, names, bounds))
+    evaluator = Evaluator(model, targets, log)
+    prior_rows = _prior_rows(model.parameters, priors)
+    evaluator.check_count(extra=len(prior_rows[0]))
+    first = _first_point(model, evaluator, start, starts, seed)
+    search = _Search(evaluator, prior_rows, jacobian, tolerance, max_runs)
+    status = search.run(first, by_rule and jacobian == "economical")
+    return search.result(status)
+
+
+def _prior_rows(parameters: ParameterSet, priors):
+    """Priors as extra rows: (Q, P) Jacobian and (Q,) centre in coordinates over their spread."""
+    rows, centres = [], []
+    for name, prior in (priors or {}).items():
+        name = ALIASES.get(name, name)
+        if name not in parameters.names:
+            raise ValueError(f"a prior is given for '{name}', which is not fitted; fitted are {', '.join(parameters.names)}.")
+        row = np.eye(len(parameters))[parameters.names.index(name)] / prior.spread
+        rows.append(row)
+        centres.append(float(to_coordinate(name, prior.value)) / prior.spread)
+    return np.array(rows).reshape(-1, len(parameters)), np.array(centres)
+
+
+def _first_point(model: Model, evaluator: Evaluator, start, starts: int, seed: int) -> np.ndarray:
+    if isinstance(starts, bool) or not isinstance(starts, int) or starts < 1:
+        raise ValueError(f"starts = {starts!r}: must be a whole number >= 1.")
+    if isinstance(start, Mapping):
+        first = model.parameters.coordinates(start)
+    elif start == "rule":
+        first = start_by_rule(model.simulator, model.parameters, evaluator.targets)
+    elif start == "test":
+        first = model.parameters.coordinates()
+    else:
+        raise ValueError(f"start = {start!r}: must be 'rule', 'test' or values by name.")
+    if starts == 1:
+        return first
+    low, high = model.parameters.limits()
+    random = np.random.default_rng(seed).uniform(low, high, (starts - 1, len(low)))
+    best, least = first, np.inf
+    for z in [first, *random]:
+        tried = evaluator.value(z)
+        misfit = np.sum(((tried.prediction - evaluator.observed) / evaluator.sigma) ** 2)
+        if not tried.failed and misfit < least:
+            best, least = z, misfit
+    return best
+
+
+class _Search:
+    """One descent; keeps what is known at the accepted point."""
+
+    def __init__(self, evaluator: Evaluator, prior_rows, jacobian: Jacobian, tolerance: float, max_runs: float):
+        self.evaluator, self.model = evaluator, evaluator.model
+        self.parameters = evaluator.model.parameters
+        self.prior_rows, self.prior_centres = prior_rows
+        self.kind, self.tolerance, self.max_runs = jacobian, tolerance, max_runs
+        self.latest: dict[tuple, Evaluation] = {}
+        self.kept: np.ndarray | None = None  # (M, P) of the last pass
+        self.kept_misfit = np.inf  # the explainable part of the misfit at the last accepted point
+        self.point: np.ndarray | None = None
+        self.slopes: np.ndarray | None = None
+        # Every target known with its own uncertainty, or only the proportion of the weights?
+        self.sigma_known = all(getattr(target, "sigma_known", True) for target in evaluator.targets)
+
+    def run(self, first: np.ndarray, by_rule: bool) -> str:
+        from scipy.optimize import least_squares
+
+        low, high = self.parameters.limits()
+        try:
+            if by_rule:
+                first = self._by_rule(first)
+            first = self._sound_start(np.clip(first, low, high))
+            found = least_squares(
+                self._residual, first, jac=self._jacobian, bounds=(low, high), method="trf", x_scale=1.0,
+                xtol=0.1 * self.tolerance / np.sqrt(len(first)), ftol=1e-12, gtol=1e-12, max_nfev=200,
+            )
+        except _Stop as stop:
+            return str(stop)
+        return "converged" if found.status > 0 else "stopped: too many steps"
+
+    def _by_rule(self, first: np.ndarray) -> np.ndarray:
+        """Single runs, each scaled to the data by the rule, until it asks for no more than a last small move."""
+        for _ in range(RULE_RUNS):
+            tried = self._evaluate(first)
+            better = corrected_by_run(self.parameters, self.evaluator.targets, tried)
+            if better is None:
+                break
+            move, first = np.abs(better - first).max(), better
+            if move < RULE_MOVE:
+                break
+        return first
+
+    def _sound_start(self, first: np.ndarray) -> np.ndarray:
+        """The start, moved towards the test's own parameters while its run fails."""
+        home = self.parameters.coordinates()
+        for share in (0.0, 0.5, 0.8, 1.0):
+            z = first + share * (home - first)
+            tried = self._evaluate(z, first=True)
+            if not tried.failed:
+                return z
+        raise RunFailed(f"no start gives a sound run, not even the test's own parameters: {tried.failed}.")
+
+    def _along(self) -> list[int]:
+        """Places of the parameters whose tangents are run; the stretch gives the stiffness in the economical way."""
+        names = self.parameters.names
+        free = self.kind == "economical" and "normal_stiffness" in names
+        return [p for p, name in enumerate(names) if not (free and name == "normal_stiffness")]
+
+    def _evaluate(self, z, first: bool = False) -> Evaluation:
+        key = tuple(np.asarray(z, float).tolist())
+        if key in self.latest and not (first and self.latest[key].jacobian is None and self._along()):
+            return self.latest[key]
+        if self.model.cost.forward_equivalents >= self.max_runs:
+            raise _Stop(f"stopped: {self.max_runs:g} runs are spent")
+        with_tangents = self._along() and (self.kind == "tangent" or (first and self.kind == "economical"))
+        evaluation = self.evaluator.tangents(z, self._along()) if with_tangents else self.evaluator.value(z)
+        self.latest[key] = evaluation
+        return evaluation
+
+    def _weighted(self, z, prediction) -> np.ndarray:
+        residual = (prediction - self.evaluator.observed) / self.evaluator.sigma
+        return np.concatenate([residual, self.prior_rows @ np.asarray(z) - self.prior_centres])
+
+    def _weighted_slopes(self, slopes) -> np.ndarray:
+        return np.concatenate([slopes / self.evaluator.sigma[:, None], self.prior_rows])
+
+    def _residual(self, z) -> np.ndarray:
+        # NaN at a trial point makes scipy shrink the step and try again, which is what a failed run deserves.
+        return self._weighted(z, self._evaluate(z).prediction)
+
+    def _assembled(self, evaluation: Evaluation) -> np.ndarray:
+        """(M, P): fresh or kept tangents, the stretch in the stiffness column of the economical way."""
+        names, along = self.parameters.names, self._along()
+        slopes = np.zeros((evaluation.prediction.size, len(names)))
+        if evaluation.jacobian is not None:
+            slopes[:, along] = evaluation.jacobian
+        elif along:
+            slopes[:, along] = self.kept[:, along]
+        if len(along) < len(names):
+            column = names.index("normal_stiffness")
+            slopes[:, column] = evaluation.stretch
+            if "shear_stiffness" in names:  # the stretch moves both; kn alone is what is left
+                slopes[:, column] -= slopes[:, names.index("shear_stiffness")]
+        return slopes
+
+    def _jacobian(self, z) -> np.ndarray:
+        evaluation = self._evaluate(z)
+        residual = self._weighted(z, evaluation.prediction)
+        fresh = evaluation.jacobian is not None or not self._along()
+        if self.kind == "difference":
+            slopes, fresh = self._differences(z, evaluation), True
+        else:
+            slopes = self._assembled(evaluation)
+        misfit = self._explainable(z, slopes, residual)
+        if not fresh and misfit > GOOD_PROGRESS * self.kept_misfit:
+            evaluation = self.evaluator.tangents(z, self._along())
+            self.latest[tuple(np.asarray(z).tolist())] = evaluation
+            if not evaluation.failed:
+                slopes, fresh = self._assembled(evaluation), True
+                misfit = self._explainable(z, slopes, residual)
+        if fresh:
+            self.kept = slopes
+        self.kept_misfit = misfit
+        return self._weighted_slopes(slopes)
+
+    def _explainable(self, z, slopes, residual) -> float:
+        """The part of the misfit that the linear model can still remove at this accepted point. Raises _Stop where the
+        Gauss-Newton step is below the tolerance or a tenth of a standard error in every coordinate."""
+        self.point, self.slopes = np.array(z, float), slopes
+        weighted = self._weighted_slopes(slopes)
+        step, *_ = np.linalg.lstsq(weighted, -residual, rcond=1e-8)
+        left = residual + weighted @ step
+        covariance, *_ = uncertainty(self.parameters, left, weighted, self.sigma_known)
+        if (np.abs(step) <= np.maximum(self.tolerance, 0.1 * np.sqrt(np.diag(covariance)))).all():
+            raise _Stop("converged")
+        return float(residual @ residual - left @ left)
+
+    def _differences(self, z, evaluation: Evaluation) -> np.ndarray:
+        columns = []
+        for p in range(len(self.parameters)):
+            for h in (DIFFERENCE_STEP, -DIFFERENCE_STEP):
+                moved = self._evaluate(z + h * np.eye(len(z))[p])
+                if not moved.failed:
+                    break
+            columns.append((moved.prediction - evaluation.prediction) / h)
+        return np.nan_to_num(np.stack(columns, axis=1))
+
+    def result(self, status: str) -> Fit:
+        if self.point is None:
+            raise RunFailed(f"the fit ended before its first point was complete: {status}.")
+        evaluation = self.latest[tuple(self.point.tolist())]
+        residual = self._weighted(self.point, evaluation.prediction)
+        covariance, scatter, warnings = uncertainty(
+            self.parameters, residual, self._weighted_slopes(self.slopes), self.sigma_known
+        )
+        low, high = self.parameters.limits()
+        for p, name in enumerate(self.parameters.names):
+            if min(self.point[p] - low[p], high[p] - self.point[p]) < 2 * self.tolerance:
+                warnings += (f"{name} is at its bound; widen the bounds or doubt the data.",)
+        notes = ()
+        if self.kind != "difference" and self._along() and self.model.cost.tangent_cost > 0.7:
+            notes = (
+                f"a tangent costs {self.model.cost.tangent_cost:.2g} runs here; on smooth runs jacobian='difference' is no "
+                "dearer, what a tangent buys is that scatter between runs does not spoil it.",
+            )
+        return Fit(
+            self.parameters, self.point, covariance, self.slopes, evaluation.prediction, self.evaluator.observed,
+            self.evaluator.sigma, scatter, status, warnings, tuple(self.evaluator.targets), self.model.cost,
+            sum(tried.failed is not None for tried in self.evaluator.evaluations), notes,
+        )
