@@ -6,3 +6,23 @@ Importing this package switches JAX to 64-bit numbers, which a discrete element 
 import jax
 
 jax.config.update("jax_enable_x64", True)
+
+from axijax.dynamics import Params, Scene  # noqa: E402
+from axijax.packing import Specimen, fcc_cylinder, fcc_octagon  # noqa: E402
+from axijax.platform import fast_cpu_kernels  # noqa: E402
+from axijax.sector import Sector  # noqa: E402
+from axijax.triaxial import Curve, SimulationError, TriaxialTest, raise_for_status  # noqa: E402
+
+__all__ = [
+    "Curve",
+    "Params",
+    "Scene",
+    "Sector",
+    "SimulationError",
+    "Specimen",
+    "TriaxialTest",
+    "fast_cpu_kernels",
+    "fcc_cylinder",
+    "fcc_octagon",
+    "raise_for_status",
+]

@@ -101,6 +101,9 @@ def _table(rows):
 
 def main() -> None:
     """Entry point: a mistake of the user's, or a run that went wrong, ends in one sentence and exit code 1."""
+    from axijax.platform import fast_cpu_kernels
+
+    fast_cpu_kernels()
     try:
         app()
     except (ValueError, RuntimeError, OSError) as error:

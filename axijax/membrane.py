@@ -37,6 +37,7 @@ class Membrane:
     flip_sign, flip_bottom, flip_top: (3, T), its height is flip_sign * z + flip_bottom * bottom + flip_top * top.
     owned: (3, T) 1 where the corner is the ball itself and not a copy.
     edge: (3, T) int, the edge opposite to each corner, numbered over the triangulation.
+    edge_inside: (3 T,) bool, edges with a triangle to either side.
     counted: (Z,) bool, balls that Rm is taken over; one squeezed far out of the surface is loaded but not counted.
     sector_angle: () angle of the sector [rad].
     """
@@ -53,6 +54,7 @@ class Membrane:
     flip_top: jax.Array
     owned: jax.Array
     edge: jax.Array
+    edge_inside: jax.Array
     counted: jax.Array
     sector_angle: jax.Array
 
@@ -100,6 +102,7 @@ def build_membrane(specimen: Specimen, sector: Sector, triangles: int | None = N
     ends = np.sort(np.stack([corners[[1, 2]], corners[[2, 0]], corners[[0, 1]]], axis=1), axis=0)
     _, edge = np.unique(ends.reshape(2, -1), axis=1, return_inverse=True)
     edge = edge.reshape(3, -1)
+    edge_inside = np.bincount(edge.ravel(), minlength=3 * (triangles or needed)) == 2
     pad = np.zeros((triangles or needed) - needed, int)  # padding repeats a triangle that nobody owns
     code = np.concatenate([codes[:, corners], codes[:, corners[:, pad]] * [[[1]], [[1]], [[1]], [[1]], [[1]], [[0]]]], 2)
     return Membrane(
@@ -115,6 +118,7 @@ def build_membrane(specimen: Specimen, sector: Sector, triangles: int | None = N
         flip_top=jnp.asarray(code[4].astype(dtype)),
         owned=jnp.asarray(code[5].astype(dtype)),
         edge=jnp.asarray(np.concatenate([edge, np.full((3, pad.size), edge.max() + 1)], 1).astype(np.int32)),
+        edge_inside=jnp.asarray(edge_inside),
         counted=jnp.asarray(_within_surface(rho, specimen.radius[zone], owners[corners])),
         sector_angle=jnp.asarray(sector.angle, dtype),
     )
@@ -203,39 +207,38 @@ def cell_areas(membrane: Membrane, positions: Vector, bottom, top) -> jax.Array:
     """Area of each ball's Voronoi cell on the unfolded cylinder, zero outside the zone; (N,) [L^2].
 
     positions: (N,) vectors, current ball centres [L]; bottom, top: heights of the platens [L].
-
-    The cell is summed from the triangles around the ball: each adds the quadrilateral of the corner, the two
-    middles of its sides and the circumcentre. The sum over all cells is the strip's area for any positions; each
-    area is the Voronoi cell's while the triangulation is still a Delaunay one (`stale_cells` tells).
     """
-    radius = membrane_radius(membrane, positions)
-    place = _corner_places(membrane, positions, bottom, top, radius)
-    centre = _circumcentres(place)
-    area = jnp.zeros(membrane.zone.size, place.dtype)
-    for corner, (before, after) in enumerate(((2, 1), (0, 2), (1, 0))):
-        own = place[:, corner]
-        to_centre = centre - own
-        piece = _cross(place[:, after] - own, to_centre) + _cross(to_centre, place[:, before] - own)
-        area = area.at[membrane.corner[corner]].add(0.25 * piece * membrane.owned[corner])
-    return jnp.zeros(positions.x.size, place.dtype).at[membrane.zone].set(area * membrane.share)
+    return _cells(membrane, positions, bottom, top)[0]
 
 
 def stale_cells(membrane: Membrane, positions: Vector, bottom, top) -> jax.Array:
     """How far the triangulation is from a Delaunay one: the area between ball and cell edge that is counted with
     the wrong sign, as a share of the strip's area [-]. Zero after `build_membrane`; the areas' error is of its order.
     """
+    return _cells(membrane, positions, bottom, top)[1]
+
+
+def _cells(membrane: Membrane, positions: Vector, bottom, top) -> tuple[jax.Array, jax.Array]:
+    """Areas (N,) and staleness of the cells.
+
+    A cell is a sum over the edges from its ball: a quarter of the edge's length times that of the cell's side across
+    it. In each triangle the side across the edge opposite to a corner has half the edge's length times the cotangent
+    of that corner. So the sum over all cells is the strip's area for any positions, and each area is the Voronoi
+    cell's while the triangulation is still a Delaunay one, where no side has a negative length.
+    """
     radius = membrane_radius(membrane, positions)
     place = _corner_places(membrane, positions, bottom, top, radius)
-    sides = place[:, (2, 0, 1)] - place[:, (1, 2, 0)]  # opposite to each corner, counter-clockwise
-    twice_area = _cross(sides[:, 0], sides[:, 1])
-    square = (sides * sides).sum(0)
-    # cot of the angle at a corner times the square of the side opposite: the cell edge's share in this triangle
-    cotangent = -(sides[:, (1, 2, 0)] * sides[:, (2, 0, 1)]).sum(0) / twice_area
-    count = membrane.edge.size
-    across = jnp.zeros(count, place.dtype).at[membrane.edge].add(cotangent * square / 8)
-    shared = jnp.zeros(count, jnp.int32).at[membrane.edge].add(1)
-    wrong = jnp.where(shared == 2, jnp.maximum(-across, 0.0), 0.0).sum()
-    return wrong / (membrane.sector_angle * radius * (top - bottom))
+    edge = place[:, (2, 0, 1)] - place[:, (1, 2, 0)]  # opposite to each corner, counter-clockwise
+    twice_area = edge[0, 0] * edge[1, 1] - edge[1, 0] * edge[0, 1]
+    cotangent = -(edge[:, (1, 2, 0)] * edge[:, (2, 0, 1)]).sum(0) / twice_area
+    kite = cotangent * (edge * edge).sum(0) / 8  # from either end of the edge to the cell's side across it
+    corner_area = membrane.owned * (kite[(1, 2, 0), :] + kite[(2, 0, 1), :])
+    area = jnp.zeros(membrane.zone.size, place.dtype).at[membrane.corner].add(corner_area)
+    area = jnp.zeros(positions.x.size, place.dtype).at[membrane.zone].set(area * membrane.share)
+
+    across = jnp.zeros(membrane.edge.size, place.dtype).at[membrane.edge].add(kite)
+    wrong = jnp.where(membrane.edge_inside, jnp.maximum(-across, 0.0), 0.0).sum()
+    return area, wrong / (membrane.sector_angle * radius * (top - bottom))
 
 
 @jax.tree_util.register_dataclass
@@ -246,16 +249,19 @@ class Load:
     lateral: (N,) cell areas, pressed towards the axis; or (2, N) constant horizontal vectors, for a specimen that is
         loaded without a membrane [L^2].
     section: () area of the sector's section that the platens carry [L^2].
+    stale: () how far the membrane's triangulation has aged, see `stale_cells`; zero without a membrane [-].
     """
 
     lateral: jax.Array
     section: jax.Array
+    stale: jax.Array | float = 0.0
 
 
 def membrane_load(membrane: Membrane, positions: Vector, bottom, top) -> Load:
     """Cells and section at the current positions."""
     section = 0.5 * membrane.sector_angle * membrane_radius(membrane, positions) ** 2
-    return Load(cell_areas(membrane, positions, bottom, top), section)
+    areas, stale = _cells(membrane, positions, bottom, top)
+    return Load(areas, section, stale)
 
 
 def lateral_force(stress, load: Load, positions: Vector) -> Vector:
@@ -283,14 +289,6 @@ def _corner_places(membrane, positions, bottom, top, radius):
     across = membrane.turn_sign * theta[membrane.corner] + membrane.turn_shift
     height = membrane.flip_sign * z[membrane.corner] + membrane.flip_bottom * bottom + membrane.flip_top * top
     return jnp.stack([radius * across, height])
-
-
-def _circumcentres(place):
-    a, b, c = place[:, 0], place[:, 1], place[:, 2]
-    u, v = b - a, c - a
-    square_u, square_v = (u * u).sum(0), (v * v).sum(0)
-    scale = 0.5 / _cross(u, v)
-    return a + scale * jnp.stack([v[1] * square_u - u[1] * square_v, u[0] * square_v - v[0] * square_u])
 
 
 def _cross(u, v):

@@ -30,7 +30,7 @@ from axijax.dynamics import (
     mass_per_cube,
     positions,
 )
-from axijax.membrane import Load, Membrane, build_membrane, membrane_load, stale_cells, zone_found_again
+from axijax.membrane import Load, Membrane, build_membrane, membrane_load, zone_found_again
 from axijax.neighbors import Network, build_network, carry_springs
 from axijax.observe import Observation, observe
 from axijax.packing import Specimen, cut_to_sector
@@ -231,9 +231,7 @@ class TriaxialTest:
             strain = 1 - float(state.platens[1] - state.platens[0]) / height
             if progress is not None:
                 progress(strain, float(records[-1].stress_ratio[-1]))
-            stale = float(_stale(membrane, network, state)) if fixed is None else 0.0
-            worn = 4 * float(_farthest(state)) > float(network.skin) or stale > STALE / 2
-            if worn and strain < self.axial_strain:
+            if strain < self.axial_strain and float(_wear(network, membrane, state).max()) > 0.5:
                 cut, network, membrane, state = _rebuilt(cut, network, membrane, state)
         curve = make_curve(_join(records), balance)
         wanted = np.asarray(curve.axial_strain) <= self.axial_strain
@@ -365,10 +363,6 @@ def _load(membrane: Membrane, network: Network, state: State, fixed: Load | None
     return membrane_load(membrane, positions(network, state), state.platens[0], state.platens[1])
 
 
-def _stale(membrane, network, state):
-    return stale_cells(membrane, positions(network, state), state.platens[0], state.platens[1])
-
-
 def _fixed_load(protocol: Protocol, numbers, start: State) -> Load | None:
     """The load that does not change during shear: one that was given, or the membrane's first where it is not
     refreshed. None where the membrane's cells are followed."""
@@ -390,7 +384,7 @@ def _shear(scene: Scene, protocol: Protocol, numbers, params: Params, state: Sta
     def block(state, _):
         load = _load(membrane, network, state, fixed)
         seen = observe(scene, params, network, membrane, load, dt, state)
-        status = _trouble(network, membrane, state, follows=fixed is None)
+        status = _trouble(network, membrane, state, load)
         state = _repeat(lambda s: step(params, network, load, dt, s), protocol.block_steps, state)
         return state, (seen, status)
 
@@ -398,18 +392,23 @@ def _shear(scene: Scene, protocol: Protocol, numbers, params: Params, state: Sta
     return state, seen, status
 
 
-def _trouble(network: Network, membrane: Membrane, state: State, *, follows: bool) -> jax.Array:
-    """Status bits of one state; follows: the membrane's cells follow the balls."""
+def _trouble(network: Network, membrane: Membrane, state: State, load: Load) -> jax.Array:
+    """Status bits of one state."""
     place = positions(network, state)
     rho = radial_distance(place)
     finite = jnp.stack([jnp.isfinite(part).all() for part in (*state.displacement, *state.velocity)]).all()
     bits = jnp.where(finite, 0, NOT_FINITE)
     bits |= jnp.where(2 * _farthest(state) > network.skin, STALE_LIST, 0)
-    if follows:
-        bits |= jnp.where(_stale(membrane, network, state) > STALE, STALE_CELLS, 0)
-    outer = jnp.mean(rho[membrane.zone])
-    inside = (place.z > state.platens[0]) & (place.z < state.platens[1]) & (rho < 1.5 * outer)
+    bits |= jnp.where(load.stale > STALE, STALE_CELLS, 0)
+    inside = (place.z > state.platens[0]) & (place.z < state.platens[1]) & (rho < 1.5 * jnp.mean(rho[membrane.zone]))
     return bits | jnp.where(inside.all(), 0, ESCAPED)
+
+
+@jax.jit
+def _wear(network: Network, membrane: Membrane, state: State) -> jax.Array:
+    """How far the lists have aged, as a share of what is allowed: contact list and membrane; (2,)."""
+    load = _load(membrane, network, state)
+    return jnp.stack([2 * _farthest(state) / network.skin, load.stale / STALE])
 
 
 def _farthest(state: State):
@@ -430,7 +429,6 @@ def _simulate(scene: Scene, protocol: Protocol, numbers, params: Params) -> Curv
     state, seen, status = _shear(scene, protocol, numbers, params, start, _fixed_load(protocol, numbers, start))
     settled = jnp.maximum(balance.unbalanced_force, balance.stress_error) <= protocol.tolerance
     status = jnp.bitwise_or.reduce(status) | jnp.where(settled, 0, NOT_CONFINED)
-    status |= _trouble(network, membrane, state, follows=protocol.refresh and numbers[5] is None)
     return make_curve(seen, balance, status)
 
 

@@ -1,7 +1,8 @@
 """Descent by optax's Adam: for many parameters, or as the plain alternative that a fit of few is measured against.
 
 Adam needs a gradient a step and no Jacobian. For few parameters it takes ten times the runs of least squares; for a
-friction of every ball the gradient comes from checkpointed reverse mode, at a cost that does not grow with their number.
+friction of every ball the gradient comes from checkpointed reverse mode, at a cost that does not grow with their
+number.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -64,10 +65,14 @@ def fit_by_descent(
     """Fit named parameters by Adam on the mean square of the weighted residuals, gradients by tangents.
 
     start: values by name, by default the rule of `fit_parameters`. learning_rate: of the log or logit [-]. steps: most
-    passes. settled: stop when a step is smaller [-]. The rest and the result as in `fit_parameters`; the standard errors
-    are from the tangents at the best point. Raises what it raises.
+    passes. settled: stop when a step is smaller [-]. The rest and the result as in `fit_parameters`; the standard
+    errors are from the tangents at the best point. Raises what it raises.
     """
-    model = simulator if isinstance(simulator, Model) else Model(simulator, ParameterSet.of(simulator.params, names, bounds))
+    model = (
+        simulator
+        if isinstance(simulator, Model)
+        else Model(simulator, ParameterSet.of(simulator.params, names, bounds))
+    )
     parameters = model.parameters
     evaluator = Evaluator(model, targets, log)
     rows, centres = _prior_rows(parameters, priors)
@@ -90,15 +95,30 @@ def fit_by_descent(
     known = all(getattr(target, "sigma_known", True) for target in evaluator.targets)
     covariance, scatter, warnings = uncertainty(parameters, residual, weighted, known)
     return Fit(
-        parameters, best, covariance, tried.jacobian, tried.prediction, evaluator.observed, evaluator.sigma, scatter,
-        "converged" if len(losses) < steps else f"stopped: {steps} steps are spent", warnings, tuple(evaluator.targets),
-        model.cost, sum(one.failed is not None for one in evaluator.evaluations),
+        parameters,
+        best,
+        covariance,
+        tried.jacobian,
+        tried.prediction,
+        evaluator.observed,
+        evaluator.sigma,
+        scatter,
+        "converged" if len(losses) < steps else f"stopped: {steps} steps are spent",
+        warnings,
+        tuple(evaluator.targets),
+        replace(model.cost),
+        sum(one.failed is not None for one in evaluator.evaluations),
+        (),
+        tuple(evaluator.evaluations),
     )
 
 
 @dataclass(frozen=True)
 class FrictionField:
-    """A friction for each of N balls. friction: (N,) [-]; losses: (S,) mean weighted square misfit with the prior's part."""
+    """A friction for each of N balls.
+
+    friction: (N,) [-]. losses: (S,) mean weighted square misfit with the prior's part, one a step.
+    """
 
     friction: np.ndarray
     losses: np.ndarray

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibrate.model import Model, RunFailed, jacobian_of, stretch_tangent
+from calibrate.model import Cost, Model, RunFailed, jacobian_of, stretch_tangent
 
 
 @dataclass(frozen=True)
@@ -19,8 +19,8 @@ class Evaluation:
     """One point of a fit; M numbers, P parameters, tangents along D of them.
 
     coordinates: (P,). prediction: (M,), NaN for a failed run. jacobian: (M, D) in coordinates, or None.
-    stretch: (M,) derivative to log kn at fixed ks/kn by the strain stretch. failed: why, or None. rise: strain of half the
-    rise to the peak; peak: largest R (both for the start by rule). replayed: read from the log, nothing was run.
+    stretch: (M,) derivative to log kn at fixed ks/kn by the strain stretch. failed: why, or None. rise: strain of half
+    the rise to the peak; peak: largest R (both for the start by rule). replayed: read from the log, nothing was run.
     """
 
     coordinates: np.ndarray
@@ -34,7 +34,8 @@ class Evaluation:
 
 
 def half_rise_strain(strain, ratio) -> float:
-    """Strain at which R has risen halfway from 1 to its peak [-]; the mean of first and last crossing where it scatters."""
+    """Strain at which R has risen halfway from 1 to its peak [-]; where it scatters, the mean of first and last
+    crossing."""
     top = int(np.argmax(ratio))
     level = 1 + 0.5 * (ratio[top] - 1)
     above = np.flatnonzero(ratio[: top + 1] >= level)
@@ -53,15 +54,16 @@ def half_rise_strain(strain, ratio) -> float:
 class Evaluator:
     """Runs a model and compares it with targets.
 
-    model: of P parameters. targets: Datum and MeasuredCurve objects; their numbers are put behind one another, M in all.
+    model: of P parameters. targets: Datum and MeasuredCurve objects; their numbers are put in one row, M in all.
     log: path of the evaluation log, continued where it exists.
 
-    Raises ValueError for no target, a target beyond the run's last strain, fewer numbers than parameters (`check_count`),
-    or a log that belongs to another fit.
+    Raises ValueError for no target, a target beyond the run's last strain, fewer numbers than parameters
+    (`check_count`), or a log that belongs to another fit.
     """
 
     def __init__(self, model: Model, targets, log=None):
         self.model = model
+        model.cost = Cost(tangent_cost=model.cost.tangent_cost)  # each fit counts its own runs
         self.targets = list(targets) if isinstance(targets, list | tuple) else [targets]
         if not self.targets:
             raise ValueError("targets is empty: give at least one Datum or MeasuredCurve.")
@@ -75,10 +77,10 @@ class Evaluator:
         self.observed = np.concatenate([target.observed for target in self.targets])
         self.sigma = np.concatenate([target.sigma for target in self.targets])
         self.evaluations: list[Evaluation] = []
-        self._path = Path(log) if log is not None else None
+        self._path = None if log is None else Path(log)
         self._known: dict[tuple, dict] = {}
         if self._path is not None:
-            self._open()
+            self._open(self._path)
 
     def check_count(self, extra: int = 0) -> None:
         """Raise ValueError where there are fewer numbers (with `extra` priors) than parameters."""
@@ -86,8 +88,8 @@ class Evaluator:
         if count < wanted:
             names = ", ".join(self.model.parameters.names)
             raise ValueError(
-                f"{self.observed.size} measured number(s) for {wanted} parameters ({names}): cannot tell them apart; fit at "
-                f"most {max(count, 1)}, add a prior, or measure more (a whole curve)."
+                f"{self.observed.size} measured number(s) for {wanted} parameters ({names}): cannot tell them apart; "
+                f"fit at most {max(count, 1)}, add a prior, or measure more (a whole curve)."
             )
 
     def predict(self, curve) -> np.ndarray:
@@ -148,13 +150,13 @@ class Evaluator:
             "sigma": self.sigma.tolist(),
         }
 
-    def _open(self) -> None:
+    def _open(self, path: Path) -> None:
         header = self._header()
-        if not self._path.exists() or not self._path.read_text().strip():
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._path.write_text(json.dumps(header) + "\n")
+        if not path.exists() or not path.read_text().strip():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(json.dumps(header) + "\n")
             return
-        for number, line in enumerate(self._path.read_text().splitlines()):
+        for number, line in enumerate(path.read_text().splitlines()):
             try:
                 entry = json.loads(line)
             except json.JSONDecodeError:
@@ -163,8 +165,8 @@ class Evaluator:
                 different = [name for name in header if entry.get(name) != header[name]]
                 if different:
                     raise ValueError(
-                        f"log {self._path} belongs to another fit (its {', '.join(different)} differ); name another file "
-                        "or delete it."
+                        f"log {path} belongs to another fit (its {', '.join(different)} differ); name another "
+                        "file or delete it."
                     )
             elif not entry["failed"] or "status" in entry["failed"] or "finite" in entry["failed"]:
                 self._known[tuple(entry["z"]), tuple(entry["along"])] = entry
@@ -199,5 +201,12 @@ class Evaluator:
             return Evaluation(z, nothing, None, nothing, np.nan, np.nan, entry["failed"], True)
         slopes = None if entry["jacobian"] is None else np.array(entry["jacobian"])
         return Evaluation(
-            z, np.array(entry["prediction"]), slopes, np.array(entry["stretch"]), entry["peak"], entry["rise"], None, True
+            z,
+            np.array(entry["prediction"]),
+            slopes,
+            np.array(entry["stretch"]),
+            entry["peak"],
+            entry["rise"],
+            None,
+            True,
         )

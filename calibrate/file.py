@@ -12,7 +12,9 @@ from calibrate.result import Fit
 from calibrate.targets import WindowMean
 
 
-def calibrate_file(data, names: Sequence[str] | str, test, output, *, check: bool = True, report=print, **columns) -> Fit:
+def calibrate_file(
+    data, names: Sequence[str] | str, test, output, *, check: bool = True, report=print, **columns
+) -> Fit:
     """Fit named parameters of a test to a measured curve in a CSV file, and write everything to a folder.
 
     data: path of the CSV file; names: list of names or aliases, or one string with commas; test: a TriaxialTest, whose
@@ -21,8 +23,8 @@ def calibrate_file(data, names: Sequence[str] | str, test, output, *, check: boo
     check: end with the health of the gradient at the answer (six runs a parameter).
     report: called with each line of text. columns: of MeasuredCurve.from_csv, such as unit="percent", sign=-1.
 
-    Raises DataError for data that cannot be used, ValueError for names and strains that make no sense, RunFailed where no
-    start gives a sound run.
+    Raises DataError for data that cannot be used, ValueError for names and strains that make no sense, RunFailed where
+    no start gives a sound run.
     """
     curve = MeasuredCurve.from_csv(data, **columns)
     model = Model(test, ParameterSet.of(test.params, names))
@@ -38,7 +40,9 @@ def calibrate_file(data, names: Sequence[str] | str, test, output, *, check: boo
         slopes = gradient(model, window, values=found.estimate, steps=(1e-3, 1e-4))
         report(f"gradient of the {window.name} at the answer")
         report(str(slopes))
-        if not slopes.health.healthy:
-            report("take jacobian='difference' in calibrate.fit_parameters, or fit only the curve below the usable strain.")
+        if slopes.health is not None and not slopes.health.healthy:
+            report(
+                "take jacobian='difference' in calibrate.fit_parameters, or fit only the curve below the usable strain."
+            )
     report(f"written: {output / 'fit.json'}, {output / 'fit.png'}, {output / 'evaluations.jsonl'}")
     return found

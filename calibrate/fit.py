@@ -1,12 +1,14 @@
 """Least-squares fits of a few parameters, through scipy.optimize.least_squares with tangents for the Jacobian.
 
-The economical way, the default (PHYSICS 3.3 and issue 6 for the counts behind it): one run at the start, a second point by
-the rule of `start.py`, there one pass with tangents, and after that single runs, with the tangents kept while the misfit
-falls fast and the stiffness column always fresh and free from the strain stretch. The fit stops when the step that the
-linear model still wants is below the tolerance or a tenth of a standard error. A failed run is a rejected step.
+The economical way, the default (PHYSICS 3.3 and issue 6 for the counts behind it): one run at the start, a second point
+by the rule of `start.py`, there one pass with tangents, and after that single runs, with the tangents kept while the
+misfit falls fast and the stiffness column always fresh and free from the strain stretch. The fit stops when the step
+that the linear model still wants is below the tolerance or a tenth of a standard error. A failed run is a rejected
+step.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -24,7 +26,7 @@ GOOD_PROGRESS = 0.3  # tangents are kept while the misfit that they can explain 
 RULE_RUNS, RULE_MOVE = 4, 0.3  # most runs by the rule; the move of a coordinate after which tangents take over
 
 
-class _Stop(Exception):
+class _Stop(Exception):  # noqa: N818 - no error: how a search ends inside scipy
     """Enough: the fit has converged or spent its runs."""
 
 
@@ -51,8 +53,8 @@ def fit_parameters(
     names: parameters or aliases: f, kn, ks, ks/kn, s3, beta, rho (see calibrate.parameters).
     start: "rule" (friction from the peak by Thornton's inverse, kn from the rise), "test" (the test's own), or values.
     bounds: {name: (lower, upper)} physical. priors: {name: Prior}.
-    jacobian: "economical" (see the module), "tangent" (a fresh pass at every point), "difference" (two-point, step 1e-4:
-        on smooth runs it beats a tangent that costs more than about 0.7 of a run, and fails where runs scatter).
+    jacobian: "economical" (see the module), "tangent" (a fresh pass at every point), "difference" (two-point, step
+        1e-4: on smooth runs it beats a tangent that costs more than about 0.7 of a run, and fails where runs scatter).
     by_rule: let the second point be the rule scaled by the first run.
     tolerance: smallest step of a log or logit that is still worth a run [-].
     max_runs: forward-equivalent runs after which to stop.
@@ -66,7 +68,11 @@ def fit_parameters(
         raise ValueError(f"jacobian = {jacobian!r}: must be 'economical', 'tangent' or 'difference'.")
     if not (np.isfinite(tolerance) and tolerance > 0):
         raise ValueError(f"tolerance = {tolerance!r}: must be positive.")
-    model = simulator if isinstance(simulator, Model) else Model(simulator, ParameterSet.of(simulator.params, names, bounds))
+    model = (
+        simulator
+        if isinstance(simulator, Model)
+        else Model(simulator, ParameterSet.of(simulator.params, names, bounds))
+    )
     evaluator = Evaluator(model, targets, log)
     prior_rows = _prior_rows(model.parameters, priors)
     evaluator.check_count(extra=len(prior_rows[0]))
@@ -82,7 +88,9 @@ def _prior_rows(parameters: ParameterSet, priors):
     for name, prior in (priors or {}).items():
         name = ALIASES.get(name, name)
         if name not in parameters.names:
-            raise ValueError(f"a prior is given for '{name}', which is not fitted; fitted are {', '.join(parameters.names)}.")
+            raise ValueError(
+                f"a prior is given for '{name}', which is not fitted; fitted are {', '.join(parameters.names)}."
+            )
         row = np.eye(len(parameters))[parameters.names.index(name)] / prior.spread
         rows.append(row)
         centres.append(float(to_coordinate(name, prior.value)) / prior.spread)
@@ -138,8 +146,16 @@ class _Search:
                 first = self._by_rule(first)
             first = self._sound_start(np.clip(first, low, high))
             found = least_squares(
-                self._residual, first, jac=self._jacobian, bounds=(low, high), method="trf", x_scale=1.0,
-                xtol=0.1 * self.tolerance / np.sqrt(len(first)), ftol=1e-12, gtol=1e-12, max_nfev=200,
+                self._residual,
+                first,
+                jac=self._jacobian,
+                bounds=(low, high),
+                method="trf",
+                x_scale=1.0,
+                xtol=0.1 * self.tolerance / np.sqrt(len(first)),
+                ftol=1e-12,
+                gtol=1e-12,
+                max_nfev=200,
             )
         except _Stop as stop:
             return str(stop)
@@ -201,7 +217,7 @@ class _Search:
         slopes = np.zeros((evaluation.prediction.size, len(names)))
         if evaluation.jacobian is not None:
             slopes[:, along] = evaluation.jacobian
-        elif along:
+        elif along and self.kept is not None:
             slopes[:, along] = self.kept[:, along]
         if len(along) < len(names):
             column = names.index("normal_stiffness")
@@ -253,7 +269,7 @@ class _Search:
         return np.nan_to_num(np.stack(columns, axis=1))
 
     def result(self, status: str) -> Fit:
-        if self.point is None:
+        if self.point is None or self.slopes is None:
             raise RunFailed(f"the fit ended before its first point was complete: {status}.")
         evaluation = self.latest[tuple(self.point.tolist())]
         residual = self._weighted(self.point, evaluation.prediction)
@@ -264,14 +280,26 @@ class _Search:
         for p, name in enumerate(self.parameters.names):
             if min(self.point[p] - low[p], high[p] - self.point[p]) < 2 * self.tolerance:
                 warnings += (f"{name} is at its bound; widen the bounds or doubt the data.",)
-        notes = ()
+        notes: tuple[str, ...] = ()
         if self.kind != "difference" and self._along() and self.model.cost.tangent_cost > 0.7:
             notes = (
-                f"a tangent costs {self.model.cost.tangent_cost:.2g} runs here; on smooth runs jacobian='difference' is no "
-                "dearer, what a tangent buys is that scatter between runs does not spoil it.",
+                f"a tangent costs {self.model.cost.tangent_cost:.2g} runs here; on smooth runs jacobian='difference' "
+                "is no dearer, what a tangent buys is that scatter between runs does not spoil it.",
             )
         return Fit(
-            self.parameters, self.point, covariance, self.slopes, evaluation.prediction, self.evaluator.observed,
-            self.evaluator.sigma, scatter, status, warnings, tuple(self.evaluator.targets), self.model.cost,
-            sum(tried.failed is not None for tried in self.evaluator.evaluations), notes,
+            self.parameters,
+            self.point,
+            covariance,
+            self.slopes,
+            evaluation.prediction,
+            self.evaluator.observed,
+            self.evaluator.sigma,
+            scatter,
+            status,
+            warnings,
+            tuple(self.evaluator.targets),
+            replace(self.model.cost),
+            sum(tried.failed is not None for tried in self.evaluator.evaluations),
+            notes,
+            tuple(self.evaluator.evaluations),
         )

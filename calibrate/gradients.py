@@ -39,8 +39,8 @@ class Health:
         coordinate (relative change of a scale, df = h f (1 - f) for friction).
     sweep: by parameter, {h: disagreement}; NaN where a run of the pair failed.
     differences: by parameter, {h: d target / d value, (M,)}.
-    largest_tangent: largest |dR/dz| of the run [-]; growth: e-folds per 1 % strain of |dR/dz| over the run's second half.
-    strain, norm: (T,), strain and root sum of squares of dR/dz over the parameters.
+    largest_tangent: largest |dR/dz| of the run [-]; growth: e-folds per 1 % strain of |dR/dz| over the run's second
+    half. strain, norm: (T,), strain and root sum of squares of dR/dz over the parameters.
     """
 
     verdict: str
@@ -71,7 +71,8 @@ class Gradient:
     """Value and derivatives of a target of M numbers.
 
     value: () or (M,). by_value: {name: d value / d parameter}, per unit of the parameter.
-    by_coordinate: the same per unit of its log (of its logit for friction). health: None only where it was not asked for.
+    by_coordinate: the same per unit of its log (of its logit for friction). health: None only where it was not asked
+    for.
     """
 
     value: np.ndarray
@@ -109,7 +110,11 @@ def gradient(
     model = simulator if isinstance(simulator, Model) else _model(simulator, names, hold_time_step)
     z = model.parameters.coordinates(values)
     curve, tangents = model.run_with_tangents(z)
-    target = functional if hasattr(functional, "predict") else SimpleNamespace(predict=lambda c: jnp.atleast_1d(functional(c)))
+    target = (
+        functional
+        if hasattr(functional, "predict")
+        else SimpleNamespace(predict=lambda c: jnp.atleast_1d(functional(c)))
+    )
     value, jacobian = jacobian_of(target, curve, tangents)
     shape = (lambda a: a.reshape(())) if value.size == 1 else (lambda a: a)
     physical = model.parameters.values(z)
@@ -120,7 +125,8 @@ def gradient(
 
 
 def _model(simulator, names, hold_time_step) -> Model:
-    # Only the neighbourhood of the test's own parameters is visited, so its time step holds without raising the density.
+    # Only the neighbourhood of the test's own parameters is visited, so its time step holds without raising the
+    # density.
     parameters = ParameterSet.of(simulator.params, names)
     model = Model(simulator, parameters)
     model.hold_time_step = hold_time_step
@@ -135,10 +141,15 @@ def gradient_health(model: Model, target, z, curve, tangents, jacobian, *, steps
     names = model.parameters.names
     strain = curve.axial_strain
     norm = np.sqrt((np.nan_to_num(tangents.stress_ratio, nan=np.inf, posinf=np.inf, neginf=np.inf) ** 2).sum(axis=0))
-    sweep, differences, best, agree, usable = {}, {}, {}, {}, []
+    sweep: dict[str, dict[float, float]] = {}
+    differences: dict[str, dict[float, np.ndarray]] = {}
+    best: dict[str, float] = {}
+    agree: dict[str, float] = {}
+    usable: list[float] = []
     physical = model.parameters.values(z)
     for p, name in enumerate(names):
-        sweep[name], differences[name], parted = {}, {}, {}
+        sweep[name], differences[name] = {}, {}
+        parted: dict[float, float] = {}
         for h in steps:
             try:
                 up, down = (model.run(z + sign * h * np.eye(len(z))[p]) for sign in (1, -1))
@@ -151,9 +162,11 @@ def gradient_health(model: Model, target, z, curve, tangents, jacobian, *, steps
             gap = np.abs(jacobian[:, p] - slope).max() / scale
             sweep[name][h] = float(gap) if np.isfinite(gap) else np.inf
             differences[name][h] = slope / coordinate_rate(name, physical[name])
-            parted[h] = _parting_strain(strain, tangents.stress_ratio[p], (up.stress_ratio - down.stress_ratio) / (2 * h))
+            parted[h] = _parting_strain(
+                strain, tangents.stress_ratio[p], (up.stress_ratio - down.stress_ratio) / (2 * h)
+            )
         finite = {h: gap for h, gap in sweep[name].items() if not np.isnan(gap)}
-        best[name] = min(finite, key=finite.get) if finite else np.nan
+        best[name] = min(finite, key=lambda h: finite[h]) if finite else np.nan
         agree[name] = finite[best[name]] if finite else np.inf
         usable.append(max(parted.values(), default=0.0))
     largest = float(norm.max())

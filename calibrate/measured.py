@@ -91,12 +91,18 @@ class MeasuredCurve:
                 "from row to row; sort the file, and drop unloading branches."
             )
         if strain[0] < 0:
-            raise DataError(f"axial_strain starts at {strain[0]:g}: must start at or above zero, the end of confinement.")
+            raise DataError(
+                f"axial_strain starts at {strain[0]:g}: must start at or above zero, the end of confinement."
+            )
         if strain[-1] >= 0.5:
-            raise DataError(f"axial_strain reaches {strain[-1]:g}: must stay below 0.5; is the file in percent (unit='percent')?")
+            raise DataError(
+                f"axial_strain reaches {strain[-1]:g}: must stay below 0.5; is the file in percent (unit='percent')?"
+            )
         if (ratio <= 0).any():
             row = int(np.flatnonzero(ratio <= 0)[0])
-            raise DataError(f"stress_ratio = {ratio[row]:g} in data row {row + 1}: s1/s3 must be positive (1 when isotropic).")
+            raise DataError(
+                f"stress_ratio = {ratio[row]:g} in data row {row + 1}: s1/s3 must be positive (1 when isotropic)."
+            )
 
     def __len__(self) -> int:
         return self.axial_strain.size
@@ -113,7 +119,11 @@ class MeasuredCurve:
     @property
     def observed(self) -> np.ndarray:
         """(M,) stress ratios, or (2M,) with the volumetric strains behind them."""
-        return self.stress_ratio if self.volumetric_strain is None else np.concatenate([self.stress_ratio, self.volumetric_strain])
+        return (
+            self.stress_ratio
+            if self.volumetric_strain is None
+            else np.concatenate([self.stress_ratio, self.volumetric_strain])
+        )
 
     @property
     def sigma(self) -> np.ndarray:
@@ -137,7 +147,7 @@ class MeasuredCurve:
         if top == len(self) - 1:
             raise DataError(
                 f"the peak, R = {self.stress_ratio[top]:g}, is at the last point (strain {self.axial_strain[top]:g}): "
-                "the curve still rises, so its peak is not known; fit the curve instead of the peak, or give a longer one."
+                "the curve still rises, so its peak is not known; fit the curve instead, or give a longer one."
             )
         return float(self.stress_ratio[top]), float(self.axial_strain[top])
 
@@ -163,7 +173,7 @@ class MeasuredCurve:
         sign: -1 for a tension-positive file: strains and stresses change sign, their ratio does not.
         uncertainties: ratio_sigma, volume_sigma, sigma_known of MeasuredCurve.
 
-        Raises DataError, naming file, column, row and value, for what cannot be read, and for all that MeasuredCurve does.
+        Raises DataError, naming file, column, row and value, for what cannot be read, and as MeasuredCurve does.
         """
         path = Path(path)
         if unit is not None and unit not in UNITS:
@@ -182,7 +192,9 @@ class MeasuredCurve:
                 return columns[key]
             said = units[key]
             if unit is not None and said is not None and said != unit:
-                raise DataError(f"{path.name}: column '{name}' is marked in {said}, but unit = {unit!r}; drop one of them.")
+                raise DataError(
+                    f"{path.name}: column '{name}' is marked in {said}, but unit = {unit!r}; drop one of them."
+                )
             return sign * columns[key] * UNITS[unit or said or "fraction"]
 
         strain = column(axial_strain, strain=True)
@@ -209,9 +221,15 @@ def _read_columns(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str | No
     """Columns by lower-case name without brackets, and each one's unit mark."""
     if not path.is_file():
         raise DataError(f"{path}: no such file; give the path of a CSV file.")
-    lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    lines = [
+        line
+        for line in path.read_text(encoding="utf-8-sig").splitlines()
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
     if len(lines) < 2:
-        raise DataError(f"{path.name}: holds {len(lines)} line(s) beside comments; must have a header and at least one row.")
+        raise DataError(
+            f"{path.name}: holds {len(lines)} line(s) beside comments; must have a header and at least one row."
+        )
     separator = max(",;\t", key=lines[0].count)
     rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)]
     header, rows = rows[0], rows[1:]
@@ -226,10 +244,14 @@ def _read_columns(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str | No
         units[name] = _UNIT_MARKS.get(mark.lower()) if mark else None
     for number, row in enumerate(rows, 1):
         if len(row) != len(names):
-            raise DataError(f"{path.name}: data row {number} has {len(row)} cells, the header {len(names)}; they must match.")
+            raise DataError(
+                f"{path.name}: data row {number} has {len(row)} cells, the header {len(names)}; they must match."
+            )
         for name, cell in zip(names, row, strict=True):
             if not _is_number(cell):
-                raise DataError(f"{path.name}: {name} = {cell!r} in data row {number}: must be a number with a decimal point.")
+                raise DataError(
+                    f"{path.name}: {name} = {cell!r} in data row {number}: must be a number with a decimal point."
+                )
     table = np.array(rows, float)
     return {name: table[:, place] for place, name in enumerate(names)}, units
 
@@ -246,8 +268,8 @@ def _is_number(cell: str) -> bool:
 class RoweTest:
     """Rowe's triaxial test on a face-centred cubic packing of steel balls, as Cui & O'Sullivan (2005) use it.
 
-    stress_ratio: peak s1/s3 [-], and stress_ratio_uncertainty: half of its last digit. The paper is read as 'about 2.4':
-        one number, no scatter given, so the interval is a rounding interval and not a standard deviation.
+    stress_ratio: peak s1/s3 [-], and stress_ratio_uncertainty: half of its last digit. The paper is read as 'about
+        2.4': one number, no scatter given, so the interval is a rounding interval and not a standard deviation.
     friction: of the balls as Rowe measured it, tan 7 degrees [-]; friction_uncertainty: half a degree, likewise.
     """
 

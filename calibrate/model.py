@@ -1,13 +1,14 @@
 """A simulator seen by a fit: coordinates in, a curve and its tangents out, every run counted and timed.
 
-The simulator is anything with `params` (as axijax.dynamics.Params) and a pure `simulate(params)` that returns the fields
-axial_strain, stress_ratio and so on of `axijax.triaxial.Curve` with a status; `TriaxialTest` is the real one.
+The simulator is anything with `params` (as axijax.dynamics.Params) and a pure `simulate(params)` that returns the
+fields axial_strain, stress_ratio and so on of `axijax.triaxial.Curve` with a status; `TriaxialTest` is the real one.
 """
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +19,7 @@ from calibrate.parameters import ParameterSet
 FIELDS = ("axial_strain", "stress_ratio", "virial_ratio", "core_ratio", "volumetric_strain")
 
 
-class RunFailed(RuntimeError):
+class RunFailed(RuntimeError):  # noqa: N818
     """A run that gave no usable curve; the message says why."""
 
 
@@ -41,7 +42,6 @@ class Cost:
         return self.runs + self.passes + self.tangent_cost * self.tangents
 
 
-@dataclass
 class Model:
     """Curves of a simulator over P named parameters.
 
@@ -50,17 +50,18 @@ class Model:
     tangent_cost: what one tangent costs in runs, for the count [-]; measure it with `measure_tangent_cost`.
     """
 
-    simulator: object
-    parameters: ParameterSet | Sequence[str] | str
-    hold_time_step: bool = True
-    tangent_cost: float = 1.0
-    cost: Cost = field(init=False)
-
-    def __post_init__(self):
-        if not isinstance(self.parameters, ParameterSet):
-            self.parameters = ParameterSet.of(self.simulator.params, self.parameters)
+    def __init__(
+        self,
+        simulator: Any,
+        parameters: ParameterSet | Sequence[str] | str,
+        hold_time_step: bool = True,
+        tangent_cost: float = 1.0,
+    ):
+        if not isinstance(parameters, ParameterSet):
+            parameters = ParameterSet.of(simulator.params, parameters)
+        self.simulator, self.parameters, self.hold_time_step = simulator, parameters, hold_time_step
         self._check_stiffest()
-        self.cost = Cost(tangent_cost=self.tangent_cost)
+        self.cost = Cost(tangent_cost=tangent_cost)
         self._value = jax.jit(self.curve)
         self._pass = jax.jit(self._value_and_tangents)
 
@@ -132,17 +133,22 @@ class Model:
         curve = SimpleNamespace(**fields)
         status = int(curve.status)
         if status or not np.isfinite(curve.stress_ratio).all():
-            raise RunFailed(f"the run ended with status {status}" + ("" if status else " and a stress ratio that is not finite"))
+            raise RunFailed(
+                f"the run ended with status {status}" + ("" if status else " and a stress ratio that is not finite")
+            )
         return curve
 
     def measure_tangent_cost(self, coordinates=None, repeats: int = 3) -> float:
         """Cost of one tangent in runs, (pass - run) / (run * tangents), from alternating timed runs; stored [-]."""
         z = self.parameters.coordinates() if coordinates is None else np.asarray(coordinates, float)
         directions = np.eye(len(self.parameters))
-        plain, full = [], []
+        plain: list[float] = []
+        full: list[float] = []
         for _ in range(repeats + 1):  # the first compiles
-            for times, call in ((plain, lambda: self._finished(self._value, jnp.asarray(z))),
-                                (full, lambda: self._finished(self._pass, jnp.asarray(z), jnp.asarray(directions)))):
+            for times, call in (
+                (plain, lambda: self._finished(self._value, jnp.asarray(z))),
+                (full, lambda: self._finished(self._pass, jnp.asarray(z), jnp.asarray(directions))),
+            ):
                 start = time.perf_counter()
                 call()
                 times.append(time.perf_counter() - start)
@@ -160,7 +166,10 @@ def jacobian_of(target, curve, tangents) -> tuple[np.ndarray, np.ndarray]:
         return target.predict(SimpleNamespace(**fields))
 
     value, push = jax.linearize(predict, primal)
-    columns = [push({name: jnp.asarray(getattr(tangents, name)[d]) for name in names}) for d in range(len(tangents.stress_ratio))]
+    columns = [
+        push({name: jnp.asarray(getattr(tangents, name)[d]) for name in names})
+        for d in range(len(tangents.stress_ratio))
+    ]
     return np.asarray(value), np.stack([np.asarray(column) for column in columns], axis=1)
 
 

@@ -1,7 +1,7 @@
 """Which numbers are fitted, and the coordinates in which they stay physical: log for scales, logit for friction.
 
-What is not named is held. `normal_stiffness` named without `shear_stiffness` holds the ratio ks/kn, as PHYSICS 3.3 does;
-named together each moves alone.
+What is not named is held. `normal_stiffness` named without `shear_stiffness` holds the ratio ks/kn, as PHYSICS 3.3
+does; named together each moves alone.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,8 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 
 ALIASES = {
-    "f": "friction", "mu": "friction", "kn": "normal_stiffness", "ks": "shear_stiffness", "ks/kn": "stiffness_ratio",
-    "s3": "confining_stress", "beta": "damping_ratio", "rho": "density", "scale": "ball_radius_scale",
+    "f": "friction",
+    "mu": "friction",
+    "kn": "normal_stiffness",
+    "ks": "shear_stiffness",
+    "ks/kn": "stiffness_ratio",
+    "s3": "confining_stress",
+    "beta": "damping_ratio",
+    "rho": "density",
+    "scale": "ball_radius_scale",
 }
 
 # Default allowed range of each parameter, as factors of the reference value for all but friction and the ratio.
@@ -68,7 +75,9 @@ class Prior:
         if not (np.isfinite(self.value) and self.value > 0):
             raise ValueError(f"prior value = {self.value!r}: must be positive and finite.")
         if not (np.isfinite(self.spread) and self.spread > 0):
-            raise ValueError(f"prior spread = {self.spread!r}: must be positive, in units of the log (or logit) of the value.")
+            raise ValueError(
+                f"prior spread = {self.spread!r}: must be positive, in units of the log (or logit) of the value."
+            )
 
 
 @dataclass(frozen=True)
@@ -84,7 +93,9 @@ class ParameterSet:
     upper: np.ndarray
 
     @classmethod
-    def of(cls, params, names: Sequence[str] | str, bounds: Mapping[str, tuple[float, float]] | None = None) -> "ParameterSet":
+    def of(
+        cls, params, names: Sequence[str] | str, bounds: Mapping[str, tuple[float, float]] | None = None
+    ) -> "ParameterSet":
         """From reference Params, names or aliases (f, kn, ks, ks/kn, s3, beta, rho), and bounds by name.
 
         Raises ValueError for unknown, repeated or contradictory names and for bounds that make no sense.
@@ -101,14 +112,18 @@ class ParameterSet:
         if not full:
             raise ValueError("no parameter is named; name at least one, for instance 'friction'.")
         if "stiffness_ratio" in full and "shear_stiffness" in full:
-            raise ValueError("'stiffness_ratio' and 'shear_stiffness' are both named; one gives the other, so name one.")
+            raise ValueError(
+                "'stiffness_ratio' and 'shear_stiffness' are both named; one gives the other, so name one."
+            )
         if "ball_radius_scale" in full and {"normal_stiffness", "confining_stress"} & set(full):
             raise ValueError(
                 "'ball_radius_scale' is named with a stiffness or the confining stress: only kn / (s3 r) acts, so they "
                 "cannot be told apart; name one of them."
             )
         if np.ndim(params.friction) and "friction" in full:
-            raise ValueError("friction is given per ball; fit one number, or take friction_map for a sensitivity per ball.")
+            raise ValueError(
+                "friction is given per ball; fit one number, or take friction_map for a sensitivity per ball."
+            )
         reference = reference_values(params)
         given = {ALIASES.get(name, name): limits for name, limits in (bounds or {}).items()}
         for name in given:
@@ -143,14 +158,14 @@ class ParameterSet:
         for name, value, low, high in zip(self.names, physical, self.lower, self.upper, strict=True):
             if not low <= value <= high:
                 raise ValueError(f"{name} = {value:g}: must lie in its limits {low:g} to {high:g}.")
-        return np.array([float(to_coordinate(n, v)) for n, v in zip(self.names, physical, strict=True)])
+        return self._coordinates(physical)
 
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         """(P,) lower and upper limits of the coordinates."""
-        return tuple(
-            np.array([float(to_coordinate(n, v)) for n, v in zip(self.names, side, strict=True)])
-            for side in (self.lower, self.upper)
-        )
+        return self._coordinates(self.lower), self._coordinates(self.upper)
+
+    def _coordinates(self, physical) -> np.ndarray:
+        return np.array([float(to_coordinate(n, v)) for n, v in zip(self.names, physical, strict=True)])
 
     def values(self, coordinates) -> dict[str, float]:
         """Physical values of (P,) coordinates."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calibrate.evaluate import Evaluation
 from calibrate.measured import MeasuredCurve
 from calibrate.model import Cost
 from calibrate.parameters import ParameterSet, coordinate_rate, from_coordinate
@@ -22,12 +23,13 @@ class Fit:
     estimate: {name: value}. standard_error: {name: in the value's unit}, linear in the value; interval: {name: (low,
     high)} of one standard error, made in the log or logit and so always physical.
     coordinates: (P,). covariance: (P, P) of the coordinates; correlation: (P, P).
-    prediction, observed, sigma: (M,) of the targets behind one another; band: (M,) standard error of the prediction that
-    the parameters' covariance makes.
+    prediction, observed, sigma: (M,) of the targets behind one another; band: (M,) standard error of the prediction
+    that the parameters' covariance makes.
     jacobian: (M, P) in coordinates; where tangents are reused it is that of the last pass.
     scatter: root mean square of (prediction - observed)/sigma over the degrees of freedom [-], NaN without any.
     status: "converged" or why not. warnings: sentences on identifiability and limits.
     cost: runs, tangent passes and forward equivalents; failed_runs: those rejected.
+    evaluations: every one made, in order.
     """
 
     parameters: ParameterSet
@@ -44,6 +46,7 @@ class Fit:
     cost: Cost
     failed_runs: int = 0
     notes: tuple[str, ...] = ()
+    evaluations: tuple[Evaluation, ...] = ()
 
     @property
     def converged(self) -> bool:
@@ -59,12 +62,14 @@ class Fit:
 
     @property
     def standard_error(self) -> Mapping[str, float]:
-        return {n: float(s * coordinate_rate(n, v)) for (n, v), s in zip(self.estimate.items(), self._spread, strict=True)}
+        return {
+            n: float(s * coordinate_rate(n, v)) for (n, v), s in zip(self.estimate.items(), self._spread, strict=True)
+        }
 
     @property
     def interval(self) -> Mapping[str, tuple[float, float]]:
         return {
-            n: tuple(float(from_coordinate(n, z + side * s)) for side in (-1, 1))
+            n: (float(from_coordinate(n, z - s)), float(from_coordinate(n, z + s)))
             for n, z, s in zip(self.parameters.names, self.coordinates, self._spread, strict=True)
         }
 
@@ -81,7 +86,10 @@ class Fit:
         rows = [f"fit {self.status}; scatter {self.scatter:.3g} of the stated uncertainty"]
         for name, value in self.estimate.items():
             low, high = self.interval[name]
-            rows.append(f"  {name} = {value:.6g} +- {self.standard_error[name]:.2g}   (one standard error: {low:.6g} to {high:.6g})")
+            rows.append(
+                f"  {name} = {value:.6g} +- {self.standard_error[name]:.2g}   "
+                f"(one standard error: {low:.6g} to {high:.6g})"
+            )
         for i in range(len(self.parameters)):
             for j in range(i):
                 names = self.parameters.names
@@ -97,24 +105,30 @@ class Fit:
     def save(self, path) -> Path:
         """Write everything but the targets as JSON; returns the path."""
         path = Path(path)
-        path.write_text(json.dumps({
-            "status": self.status,
-            "estimate": dict(self.estimate),
-            "standard_error": dict(self.standard_error),
-            "interval_one_standard_error": dict(self.interval),
-            "correlation": self.correlation.tolist(),
-            "scatter": None if np.isnan(self.scatter) else self.scatter,
-            "observed": self.observed.tolist(),
-            "prediction": self.prediction.tolist(),
-            "band_one_sigma": self.band.tolist(),
-            "runs": self.cost.runs,
-            "passes": self.cost.passes,
-            "tangents": self.cost.tangents,
-            "forward_equivalents": self.cost.forward_equivalents,
-            "failed_runs": self.failed_runs,
-            "warnings": list(self.warnings),
-            "notes": list(self.notes),
-        }, indent=2) + "\n")
+        path.write_text(
+            json.dumps(
+                {
+                    "status": self.status,
+                    "estimate": dict(self.estimate),
+                    "standard_error": dict(self.standard_error),
+                    "interval_one_standard_error": dict(self.interval),
+                    "correlation": self.correlation.tolist(),
+                    "scatter": None if np.isnan(self.scatter) else self.scatter,
+                    "observed": self.observed.tolist(),
+                    "prediction": self.prediction.tolist(),
+                    "band_one_sigma": self.band.tolist(),
+                    "runs": self.cost.runs,
+                    "passes": self.cost.passes,
+                    "tangents": self.cost.tangents,
+                    "forward_equivalents": self.cost.forward_equivalents,
+                    "failed_runs": self.failed_runs,
+                    "warnings": list(self.warnings),
+                    "notes": list(self.notes),
+                },
+                indent=2,
+            )
+            + "\n"
+        )
         return path
 
     def draw(self, path) -> Path:
@@ -129,13 +143,17 @@ class Fit:
         for axes, (label, x, at, xlabel) in zip(np.atleast_1d(figure.subplots(1, len(panels))), panels, strict=True):
             predicted, band = self.prediction[at], 2 * self.band[at]
             if x is None:
-                axes.errorbar([0], self.observed[at], 2 * self.sigma[at], fmt="ko", capsize=4, label="measured, 2 sigma")
+                axes.errorbar(
+                    [0], self.observed[at], 2 * self.sigma[at], fmt="ko", capsize=4, label="measured, 2 sigma"
+                )
                 axes.errorbar([0.3], predicted, band, fmt="C0s", capsize=4, label="fitted, 2 sigma")
                 axes.set(xlim=(-0.5, 0.8), xticks=[], ylabel=label)
             else:
                 axes.plot(x, self.observed[at], "k.", ms=4, label="measured")
                 axes.plot(x, predicted, "C0", label="fitted")
-                axes.fill_between(x, predicted - band, predicted + band, color="C0", alpha=0.25, label="2 sigma of the fit")
+                axes.fill_between(
+                    x, predicted - band, predicted + band, color="C0", alpha=0.25, label="2 sigma of the fit"
+                )
                 axes.set(xlabel=xlabel, ylabel=label)
             axes.legend(frameon=False, fontsize="small")
         title = ", ".join(f"{n} = {v:.4g} $\\pm$ {self.standard_error[n]:.1g}" for n, v in self.estimate.items())
@@ -157,7 +175,9 @@ def _panels(target, at: slice):
     x, count = 100 * target.axial_strain, len(target)
     panels = [("stress ratio R [-]", x, slice(at.start, at.start + count), "axial strain [%]")]
     if target.volumetric_strain is not None:
-        panels.append(("volumetric strain [-], compression positive", x, slice(at.start + count, at.stop), "axial strain [%]"))
+        panels.append(
+            ("volumetric strain [-], compression positive", x, slice(at.start + count, at.stop), "axial strain [%]")
+        )
     return panels
 
 
@@ -167,7 +187,7 @@ def uncertainty(parameters: ParameterSet, residual, weighted_jacobian, sigma_kno
     The covariance is that of a linear model, s^2 (J^T J)^-1, with s = 1 where the uncertainties are known and else the
     scatter of the residuals. Directions that no number feels get a variance of 1e6 instead of a division by zero.
     """
-    left, values, right = np.linalg.svd(weighted_jacobian, full_matrices=False)
+    _, values, right = np.linalg.svd(weighted_jacobian, full_matrices=False)
     freedom = residual.size - len(parameters)
     scatter = float(np.sqrt(residual @ residual / freedom)) if freedom > 0 else float("nan")
     size = 1.0 if sigma_known or freedom <= 0 else scatter
@@ -177,13 +197,12 @@ def uncertainty(parameters: ParameterSet, residual, weighted_jacobian, sigma_kno
     covariance = (right.T * np.minimum(variance, 1e6)) @ right
     spread = np.sqrt(np.diag(covariance))
     warnings = []
-    stated = np.sqrt(np.diag((right.T * np.minimum(1 / np.maximum(values, 1e-3) ** 2, 1e6)) @ right))
-    for name, error, alone in zip(parameters.names, spread, stated, strict=True):
-        if max(error, alone if sigma_known or freedom <= 0 else 0.0) > UNKNOWN:
+    for name, error in zip(parameters.names, spread, strict=True):
+        if error > UNKNOWN:
             warnings.append(
                 f"{name} is not identified by these data: its standard error is a factor {np.exp(min(error, 14)):.3g} "
-                "either way; add data that feel it (stiffness shows in the curve before the peak, not in the peak), fix "
-                "it, or give a prior."
+                "either way; add data that feel it (stiffness shows in the curve before the peak, not in the peak), "
+                "fix it, or give a prior."
             )
     correlation = covariance / np.outer(spread, spread)
     for i in range(len(parameters)):

@@ -67,8 +67,8 @@ def _checkpointed_scan(parameters, inputs):
 class FrictionMap:
     """Sensitivity of one number to the friction of each of N balls.
 
-    value: the number. sensitivity: (N,) d value / d friction of the ball [unit of value]; a contact takes the mean of its
-    two balls. total: their sum, the derivative to one common friction. positions: (3, N) [L]; radius: (N,) [L].
+    value: the number. sensitivity: (N,) d value / d friction of the ball [unit of value]; a contact takes the mean of
+    its two balls. total: their sum, the derivative to one common friction. positions: (3, N) [L]; radius: (N,) [L].
     """
 
     value: float
@@ -94,11 +94,23 @@ class FrictionMap:
         axes = figure.subplots()
         size = np.abs(self.sensitivity).max() or 1.0
         dots = axes.scatter(
-            rho[order], self.positions[2][order], c=self.sensitivity[order], s=60, cmap="RdBu_r", vmin=-size, vmax=size,
-            edgecolor="0.6", linewidth=0.3,
+            rho[order],
+            self.positions[2][order],
+            c=self.sensitivity[order],
+            s=60,
+            cmap="RdBu_r",
+            vmin=-size,
+            vmax=size,
+            edgecolor="0.6",
+            linewidth=0.3,
         )
         figure.colorbar(dots, label="d value / d friction of the ball [-]")
-        axes.set(xlabel="distance from the axis [L]", ylabel="height [L]", title=f"{title} (sum {self.total:.3f})", aspect="equal")
+        axes.set(
+            xlabel="distance from the axis [L]",
+            ylabel="height [L]",
+            title=f"{title} (sum {self.total:.3f})",
+            aspect="equal",
+        )
         figure.savefig(path, dpi=150)
         return path
 
@@ -116,7 +128,9 @@ def friction_map(test, functional, friction=None) -> FrictionMap:
     count = len(test.cut)
     given = np.asarray(test.params.friction if friction is None else friction, float)
     if given.shape not in ((), (count,)) or not (np.isfinite(given).all() and (given >= 0).all()):
-        raise ValueError(f"friction of shape {given.shape}: must be one number or ({count},), one a ball, zero or positive.")
+        raise ValueError(
+            f"friction of shape {given.shape}: must be one number or ({count},), one a ball, zero or positive."
+        )
 
     def number(per_ball):
         curve = test.simulate(replace(test.params, friction=per_ball))

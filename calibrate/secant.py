@@ -4,6 +4,7 @@ A pass with a tangent costs more than the run that gives the secant its slope, a
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,27 +31,41 @@ def fit_one(
 ) -> Fit:
     """Fit one parameter to one number by the secant: about three or four runs and no tangent.
 
-    datum: the target. start: physical value; for friction by default Thornton's inverse of the datum, and the second run
-    takes the slope of his formula. tolerance: of the number, in its unit, by default a fiftieth of its uncertainty.
-    The rest as in `fit_parameters`. Raises ValueError for a target of several numbers, RunFailed where the first run is not sound.
+    datum: the target. start: physical value; for friction by default Thornton's inverse of the datum, and the second
+    run takes the slope of his formula. tolerance: of the number, in its unit, by default a fiftieth of its uncertainty.
+    The rest as in `fit_parameters`. Raises ValueError for a target of several numbers, RunFailed where the first run is
+    not sound.
     """
-    model = simulator if isinstance(simulator, Model) else Model(simulator, ParameterSet.of(simulator.params, [name], bounds))
+    model = (
+        simulator
+        if isinstance(simulator, Model)
+        else Model(simulator, ParameterSet.of(simulator.params, [name], bounds))
+    )
     parameters = model.parameters
     if len(parameters) != 1:
-        raise ValueError(f"{len(parameters)} parameters ({', '.join(parameters.names)}): a secant fits one; use fit_parameters.")
+        raise ValueError(
+            f"{len(parameters)} parameters ({', '.join(parameters.names)}): a secant fits one; use fit_parameters."
+        )
     if datum.observed.size != 1:
-        raise ValueError(f"'{datum.label}' holds {datum.observed.size} numbers: a secant fits one number; use fit_parameters.")
+        raise ValueError(
+            f"'{datum.label}' holds {datum.observed.size} numbers: a secant fits one number; use fit_parameters."
+        )
     evaluator = Evaluator(model, datum, log)
     name = parameters.names[0]
     goal = 0.02 * float(datum.sigma[0]) if tolerance is None else tolerance
     low, high = parameters.limits()
-    z = (start_by_rule(simulator, parameters, evaluator.targets) if start is None else parameters.coordinates({name: start}))
+    z = (
+        start_by_rule(simulator, parameters, evaluator.targets)
+        if start is None
+        else parameters.coordinates({name: start})
+    )
     tried = evaluator.value(z)
     if tried.failed:
         raise RunFailed(f"the first run, {name} = {parameters.values(z)[name]:g}, failed: {tried.failed}.")
     error = float(tried.prediction[0] - datum.observed[0])
     value = parameters.values(z)[name]
-    # The slope before there is a secant: Thornton's 4/(1-f)^2 for friction; else a guess that only sets a first step of 5 %.
+    # The slope before there is a secant: Thornton's 4/(1-f)^2 for friction; else a guess that only sets a first step of
+    # 5 %.
     slope = 4 / (1 - value) ** 2 * float(coordinate_rate(name, value)) if name == "friction" else None
     points, status = [(float(z[0]), error, tried)], "stopped: too many runs"
     while True:
@@ -86,8 +101,21 @@ def fit_one(
     residual = (best[2].prediction - datum.observed) / datum.sigma
     covariance, scatter, warnings = uncertainty(parameters, residual, jacobian / datum.sigma[:, None], True)
     return Fit(
-        parameters, np.array([best[0]]), covariance, jacobian, best[2].prediction, datum.observed, datum.sigma, scatter,
-        status, warnings, (datum,), model.cost, sum(tried.failed is not None for tried in evaluator.evaluations),
+        parameters,
+        np.array([best[0]]),
+        covariance,
+        jacobian,
+        best[2].prediction,
+        datum.observed,
+        datum.sigma,
+        scatter,
+        status,
+        warnings,
+        (datum,),
+        replace(model.cost),
+        sum(tried.failed is not None for tried in evaluator.evaluations),
+        (),
+        tuple(evaluator.evaluations),
     )
 
 

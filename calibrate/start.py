@@ -1,4 +1,5 @@
-"""Where a fit begins: friction from the peak by Thornton's inverse, stiffness from the rise, then both put right by one run.
+"""Where a fit begins: friction from the peak by Thornton's inverse, stiffness from the rise, then both put right by one
+run.
 
 The formulas hold for face-centred cubic arrays; for other specimens they are a first guess that the first run corrects:
 what counts is the ratio of the run to the formula at the run's own parameters.
@@ -45,7 +46,7 @@ def start_by_rule(simulator, parameters, targets) -> np.ndarray:
         values["friction"] = thornton_inverse(peak)
     stiff = [name for name in ("normal_stiffness", "shear_stiffness") if name in parameters.names]
     specimen = getattr(simulator, "specimen", None)
-    if rise and stiff and specimen is not None:
+    if peak is not None and rise and stiff and specimen is not None:
         friction = values.get("friction", reference["friction"])
         ratio = reference["stiffness_ratio"]
         radius = float(np.mean(specimen.radius))

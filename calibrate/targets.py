@@ -89,7 +89,7 @@ class WindowMean:
 def _boltzmann_weights(curve, ratio: str, temperature: float):
     """exp(R/temperature) d(strain), normalised; (T,)."""
     values, strains = jnp.asarray(getattr(curve, ratio)), jnp.asarray(curve.axial_strain)
-    spacing = jnp.gradient(strains)
+    spacing = jnp.asarray(jnp.gradient(strains))
     weight = spacing * jnp.exp((values - values.max()) / temperature)
     return weight / weight.sum()
 

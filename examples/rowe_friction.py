@@ -58,9 +58,19 @@ def draw(found, path: str, theory: float) -> None:
     friction, (low, high) = found.estimate["friction"], found.interval["friction"]
     slope = float(found.jacobian[0, 0]) / (friction * (1 - friction))
     near = np.linspace(low, high, 20)
-    axes.plot(near, found.prediction[0] + slope * (near - friction), "C0", lw=2, label="specimen, secant of the last runs")
+    axes.plot(
+        near, found.prediction[0] + slope * (near - friction), "C0", lw=2, label="specimen, secant of the last runs"
+    )
     error = [[friction - low], [high - friction]]
-    axes.errorbar(friction, ROWE.stress_ratio, ROWE.stress_ratio_uncertainty, error, "C0o", capsize=4, label="fitted to Rowe's peak")
+    axes.errorbar(
+        friction,
+        ROWE.stress_ratio,
+        ROWE.stress_ratio_uncertainty,
+        error,
+        "C0o",
+        capsize=4,
+        label="fitted to Rowe's peak",
+    )
     axes.plot(ROWE.friction, theory, "kx", label=f"Thornton at Rowe's friction, R = {theory:.3f}")
     axes.axhline(ROWE.stress_ratio, color="k", lw=0.6, ls=":")
     axes.axvline(ROWE.friction, color="k", lw=0.6, ls=":")

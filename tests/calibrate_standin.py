@@ -11,9 +11,9 @@ from axijax.dynamics import Params
 
 @dataclass
 class StandIn:
-    """R rises to 0.97 of Thornton's peak as tanh of eps kn g(ks/kn) / s3, then softens a little; exact strain stretch but
-    for the softening. noise: relative scatter from run to run, a wild function of the parameters. broken: runs with a
-    friction above it fail."""
+    """R rises to 0.97 of Thornton's peak as tanh of eps kn g(ks/kn) / s3, then softens a little; exact strain stretch
+    but for the softening. noise: relative scatter from run to run, a wild function of the parameters. broken: runs with
+    a friction above it fail."""
 
     noise: float = 0.0
     broken: float = 1.0
@@ -30,7 +30,9 @@ class StandIn:
         stress_ratio = stress_ratio * (1 + self.noise * wild * jnp.sin(300 * strain))
         volume = 0.3 * strain - 0.5 * strain * jnp.tanh(x)
         return SimpleNamespace(
-            axial_strain=strain, stress_ratio=stress_ratio, volumetric_strain=volume,
+            axial_strain=strain,
+            stress_ratio=stress_ratio,
+            volumetric_strain=volume,
             status=jnp.where(params.friction > self.broken, 1, 0),
         )
 

@@ -30,7 +30,9 @@ def test_tangents_of_a_formula_are_exact():
     friction = 0.12278
     rise = (float(found.value) - 1) / (0.97 * 2 * (1 + friction) / (1 - friction) - 1)
     assert float(found.by_value["friction"]) == pytest.approx(0.97 * 4 / (1 - friction) ** 2 * rise, rel=1e-9)
-    assert float(found.by_coordinate["normal_stiffness"]) == pytest.approx(-float(found.by_coordinate["confining_stress"]))
+    assert float(found.by_coordinate["normal_stiffness"]) == pytest.approx(
+        -float(found.by_coordinate["confining_stress"])
+    )
     assert found.health.verdict == "use"
     assert max(found.health.disagreement.values()) < 1e-4
     assert "use (disagreement" in str(found)
@@ -91,12 +93,17 @@ def test_late_parting_limits_the_strain():
 def test_failed_runs_and_bad_names():
     with pytest.raises(RunFailed, match="status 1"):
         gradient(StandIn(broken=0.1), HardPeak(), "f")
-    for names, words in (("g", "parameter 'g'"), ("f,f", "named twice"), ("ks,ks/kn", "name one"), ("scale,kn", "cannot be told")):
+    for names, words in (
+        ("g", "parameter 'g'"),
+        ("f,f", "named twice"),
+        ("ks,ks/kn", "name one"),
+        ("scale,kn", "cannot be told"),
+    ):
         with pytest.raises(ValueError, match=words):
             gradient(StandIn(), HardPeak(), names)
-    with pytest.raises(ValueError, match="friction = 1.2: must lie in its limits"):
+    with pytest.raises(ValueError, match=r"friction = 1\.2: must lie in its limits"):
         gradient(StandIn(), HardPeak(), "f", {"f": 1.2})
-    with pytest.raises(ValueError, match="built? the test with the stiffest|build the test with the stiffest"):
+    with pytest.raises(ValueError, match="build the test with the stiffest"):
         Model(StandIn(), "kn", hold_time_step=False)
 
 
@@ -136,7 +143,12 @@ def test_jacobian_of_a_target_is_the_chain_rule():
 def test_small_specimen_against_differences():
     model = Model(small_test(), "f,kn")
     model.hold_time_step = False
-    for functional, tolerance in ((WindowMean(), 2e-3), (HardPeak(), 1e-2), (StrainAtPeak(), 1e-2), (InitialSlope(), 1e-2)):
+    for functional, tolerance in (
+        (WindowMean(), 2e-3),
+        (HardPeak(), 1e-2),
+        (StrainAtPeak(), 1e-2),
+        (InitialSlope(), 1e-2),
+    ):
         health = gradient(model, functional).health
         assert health.verdict == "use", (functional, health)
         assert max(health.disagreement.values()) < tolerance, (functional, health)
@@ -152,7 +164,7 @@ def test_local_damping_is_unhealthy():
 
 @pytest.mark.slow
 def test_map_of_frictions_adds_up_to_the_derivative(tmp_path):
-    test = small_test()
+    test = TriaxialTest(fcc_octagon(layers=5, half_width=3), params=SETTINGS, axial_strain=0.0055)
     found = friction_map(test, WindowMean())
     total = float(gradient(test, WindowMean(), "f", check=False).by_value["friction"])
     assert found.total == pytest.approx(total, rel=1e-6)
@@ -160,7 +172,11 @@ def test_map_of_frictions_adds_up_to_the_derivative(tmp_path):
     # One ball by a difference.
     ball, h = int(np.abs(found.sensitivity).argmax()), 1e-4
     pair = [
-        float(WindowMean()(test.simulate(replace(test.params, friction=0.12278 + sign * h * jnp.eye(len(test.cut))[ball]))))
+        float(
+            WindowMean()(
+                test.simulate(replace(test.params, friction=0.12278 + sign * h * jnp.eye(len(test.cut))[ball]))
+            )
+        )
         for sign in (1, -1)
     ]
     assert found.sensitivity[ball] == pytest.approx((pair[0] - pair[1]) / (2 * h), rel=1e-2)

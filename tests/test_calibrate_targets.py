@@ -32,8 +32,12 @@ def test_values_on_a_parabola():
 @pytest.mark.parametrize(
     "functional, slope",
     [
-        (HardPeak(), (1.0, 0.0)), (WindowMean(0.003, 0.005), (1.0, 0.0)), (SmoothPeak(), (1.0, 0.0)),
-        (RatioAt(0.002), (1.0, -800.0)), (StrainAtPeak(), (0.0, 1.0)), (InitialSlope(0.001, 0.002), (0.0, 4e5)),
+        (HardPeak(), (1.0, 0.0)),
+        (WindowMean(0.003, 0.005), (1.0, 0.0)),
+        (SmoothPeak(), (1.0, 0.0)),
+        (RatioAt(0.002), (1.0, -800.0)),
+        (StrainAtPeak(), (0.0, 1.0)),
+        (InitialSlope(0.001, 0.002), (0.0, 4e5)),
     ],
 )
 def test_derivatives_to_peak_and_to_its_strain(functional, slope):
@@ -83,7 +87,9 @@ def test_csv_reads_comments_units_names_and_separators(tmp_path):
     assert curve.axial_strain == pytest.approx([0, 0.001, 0.002])
     assert curve.volumetric_strain == pytest.approx([0, 1e-4, -2e-4])
     assert len(curve.observed) == len(curve.sigma) == 6
-    percent = MeasuredCurve.from_csv(write(tmp_path, "strain,r\n0,1\n0.1,2\n"), axial_strain="strain", stress_ratio="r", unit="percent")
+    percent = MeasuredCurve.from_csv(
+        write(tmp_path, "strain,r\n0,1\n0.1,2\n"), axial_strain="strain", stress_ratio="r", unit="percent"
+    )
     assert percent.axial_strain[1] == pytest.approx(0.001)
 
 

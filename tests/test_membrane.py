@@ -9,11 +9,19 @@ import numpy as np
 import pytest
 from scipy.spatial import Voronoi
 
-from axijax.dynamics import Params, Scene, ball_mass, initial_state, make_step
-from axijax.membrane import build_membrane, cell_areas, membrane_force, membrane_radius, stale_cells
+from axijax.dynamics import Scene, initial_state, make_step, mass_per_cube, positions
+from axijax.membrane import (
+    build_membrane,
+    cell_areas,
+    membrane_force,
+    membrane_load,
+    membrane_radius,
+    stale_cells,
+)
 from axijax.packing import Specimen, cut_to_sector, fcc_cylinder, fcc_octagon
 from axijax.sector import Sector
 from axijax.triaxial import TriaxialTest
+from axijax.vector import Vector, from_rows
 
 HEIGHT = 12.0
 COUNT = 12  # balls of most zones, and
@@ -55,7 +63,7 @@ def membrane_of(specimen, sector):
 
 def areas_of(specimen, sector, membrane=None):
     membrane = membrane_of(specimen, sector) if membrane is None else membrane
-    return np.asarray(fast_areas(membrane, jnp.asarray(specimen.positions), specimen.bottom, specimen.top))
+    return np.asarray(fast_areas(membrane, from_rows(specimen.positions), specimen.bottom, specimen.top))
 
 
 def strip_area(specimen, sector):
@@ -121,8 +129,8 @@ def test_cells_tile_the_strip_and_carry_its_whole_load(name):
     areas = areas_of(specimen, sector)
     assert (areas[specimen.membrane_zone] > 0).all() and (areas[~specimen.membrane_zone] == 0).all()
     np.testing.assert_allclose(areas.sum(), strip_area(specimen, sector), rtol=1e-12)
-    force = np.asarray(membrane_force(5.0e4, jnp.asarray(areas), jnp.asarray(specimen.positions)))
-    np.testing.assert_allclose(np.hypot(*force).sum(), 5.0e4 * strip_area(specimen, sector), rtol=1e-12)
+    force = np.asarray(membrane_force(5.0e4, jnp.asarray(areas), from_rows(specimen.positions)))
+    np.testing.assert_allclose(np.linalg.norm(force, axis=0).sum(), 5.0e4 * strip_area(specimen, sector), rtol=1e-12)
 
 
 FEW = {
@@ -175,18 +183,27 @@ def test_equal_balls_on_a_grid_have_equal_cells(order, on_plate):
     np.testing.assert_allclose(areas, mesh * share[:, None] * np.ones(4), rtol=1e-12)
 
 
+def test_the_section_is_that_of_the_sector_of_radius_rm():
+    """What the platens carry: 1/n of the circle of radius Rm, which times H is the strip's area times Rm/2."""
+    specimen, sector = random_zone(Sector(6)), Sector(6)
+    load = jit(membrane_load)(membrane_of(specimen, sector), from_rows(specimen.positions), 0.0, HEIGHT)
+    radius = strip_area(specimen, sector) / (sector.angle * HEIGHT)
+    assert float(load.section) == pytest.approx(np.pi * radius**2 / 6, rel=1e-12)
+    np.testing.assert_allclose(load.lateral, areas_of(specimen, sector), rtol=1e-12)
+
+
 @pytest.mark.parametrize("sector", [Sector(1), Sector(4), Sector(6, "rigid")], ids=str)
 def test_derivatives_of_the_areas_against_differences(sector):
     """Exact tangents of every area, along a motion of all balls and both platens."""
     specimen = random_zone(sector, seed=3)
     membrane = membrane_of(specimen, sector)
     rng = np.random.default_rng(1)
-    start = (jnp.asarray(specimen.positions), 0.0, HEIGHT)
-    along = (jnp.asarray(rng.normal(size=specimen.positions.shape)), 0.4, -0.7)
+    start = (from_rows(specimen.positions), 0.0, HEIGHT)
+    along = (from_rows(rng.normal(size=specimen.positions.shape)), 0.4, -0.7)
     tangent = jit(lambda start, along: jax.jvp(partial(cell_areas, membrane), start, along)[1])(start, along)
 
     def areas(h):
-        return fast_areas(membrane, *(value + h * rate for value, rate in zip(start, along, strict=True)))
+        return fast_areas(membrane, *jax.tree.map(lambda value, rate: value + h * rate, start, along))
 
     h = 1e-5
     difference = (areas(h) - areas(-h)) / (2 * h)
@@ -214,7 +231,7 @@ def test_stale_cells_tells_whether_the_old_triangulation_still_gives_the_areas(s
         if not inside.all() or sum(error > 1e-4 for _, error in seen) == 2:
             break
         now = replace(specimen, positions=positions)
-        stale = float(fast_stale(membrane, jnp.asarray(positions), 0.0, HEIGHT))
+        stale = float(fast_stale(membrane, from_rows(positions), 0.0, HEIGHT))
         old, fresh = areas_of(now, sector, membrane), areas_of(now, sector)
         error = np.abs(old - fresh).max() / strip_area(now, sector)
         seen.append((stale, error))
@@ -232,7 +249,7 @@ def test_a_ball_squeezed_far_out_is_loaded_but_does_not_set_the_radius():
     positions = np.array(specimen.positions)
     positions[:2, 4] *= 1.5
     squeezed = replace(specimen, positions=positions)
-    assert float(membrane_radius(membrane_of(squeezed, sector), jnp.asarray(positions))) == pytest.approx(10, rel=1e-12)
+    assert float(membrane_radius(membrane_of(squeezed, sector), from_rows(positions))) == pytest.approx(10, rel=1e-12)
     np.testing.assert_allclose(areas_of(squeezed, sector), areas_of(specimen, sector), rtol=1e-12)
 
 
@@ -246,8 +263,8 @@ def test_cells_are_voronoi_cells_with_a_ball_squeezed_out_too(seed):
     squeezed = replace(specimen, positions=positions)
     membrane = membrane_of(squeezed, sector)
     rho = np.delete(np.hypot(*positions[:2]), 4)
-    assert float(membrane_radius(membrane, jnp.asarray(positions))) == pytest.approx((rho.min() + rho.max()) / 2, rel=1e-12)
-    assert float(fast_stale(membrane, jnp.asarray(positions), 0.0, HEIGHT)) < 1e-12
+    assert float(membrane_radius(membrane, from_rows(positions))) == pytest.approx((rho.min() + rho.max()) / 2, rel=1e-12)
+    assert float(fast_stale(membrane, from_rows(positions), 0.0, HEIGHT)) < 1e-12
     positions[:2, 4] *= rho.min() / np.hypot(*positions[:2, 4])  # to a place where it does not change Rm
     expected = voronoi_areas(replace(specimen, positions=positions), sector)
     np.testing.assert_allclose(areas_of(squeezed, sector, membrane), expected, rtol=1e-9)
@@ -260,10 +277,9 @@ def test_force_points_from_the_current_position_to_the_axis():
     positions = specimen.positions + rng.normal(size=specimen.positions.shape)
     positions[:2, 0] = 0.0
     areas = np.where(specimen.membrane_zone, rng.uniform(1, 2, len(specimen)), 0.0)
-    force = np.asarray(membrane_force(3.0, jnp.asarray(areas), jnp.asarray(positions)))
+    force = np.asarray(membrane_force(3.0, jnp.asarray(areas), from_rows(positions)))
     rho = np.hypot(*positions[:2])
-    expected = np.where(rho > 0, -3.0 * areas * positions[:2] / np.where(rho > 0, rho, 1), 0)
-    assert force.shape == (2, len(specimen))
+    expected = np.where(rho > 0, -3.0 * areas * positions / np.where(rho > 0, rho, 1), 0) * [[1], [1], [0]]
     np.testing.assert_allclose(force, expected, rtol=1e-13, atol=0)
 
 
@@ -275,31 +291,32 @@ def test_spin_of_the_specimen_is_not_driven():
     network, membrane, params = test.network, test.membrane, test.params
     confined, _ = test.confine()
     scene = Scene()
-    positions = network.positions + confined.displacement
+    place = network.positions + confined.displacement
     swirl = 1e-4
+    still = jnp.zeros_like(place.x)
     state = initial_state(network, scene, confined.platens)._replace(
         displacement=confined.displacement,
-        velocity=swirl * jnp.stack([-positions[1], positions[0], 0 * positions[2]]),
-        spin=swirl * jnp.zeros_like(positions).at[2].set(1.0),
+        velocity=Vector(-swirl * place.y, swirl * place.x, still),
+        spin=Vector(still, still, still + swirl),
     )
-    step = make_step(scene, lambda params, state, dt, push, area: jnp.zeros(2))
-    mass = ball_mass(params, network) * network.weight
+    step = make_step(scene, lambda params, state, dt, push, section: jnp.zeros(2))
+    mass = mass_per_cube(params) * network.radius**3 * network.weight
 
     def momentum(state):
-        x, y, _ = network.positions + state.displacement
-        inertia = 0.4 * mass * network.radius**2
-        return (mass * (x * state.velocity[1] - y * state.velocity[0]) + inertia * state.spin[2]).sum()
+        x, y, _ = positions(network, state)
+        orbital = mass * (x * state.velocity.y - y * state.velocity.x)
+        return (orbital + 0.4 * mass * network.radius**2 * state.spin.z).sum()
 
-    @jax.jit
+    @jit
     def run(state):
         def block(state, _):
-            areas = cell_areas(membrane, network.positions + state.displacement, *state.platens)
-            state = jax.lax.fori_loop(0, 20, lambda _, s: step(params, network, areas, test.time_step, s), state)
+            load = membrane_load(membrane, positions(network, state), *state.platens)
+            state = jax.lax.fori_loop(0, 20, lambda _, s: step(params, network, load, test.time_step, s), state)
             return state, momentum(state)
 
         return jax.lax.scan(block, state, None, length=40)
 
     final, history = run(state)
-    rate = 2 * np.sqrt(params.confining_stress / params.density) / float(membrane_radius(membrane, positions))
+    rate = 2 * np.sqrt(params.confining_stress / params.density) / float(membrane_radius(membrane, place))
     assert rate * float(final.time) > 2, "long enough for several e-folds of the instability"
     np.testing.assert_allclose(history, momentum(state), rtol=0.01)

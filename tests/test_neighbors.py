@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from axijax.neighbors import build_network, carry_springs
 from axijax.packing import Specimen
 from axijax.sector import Sector
+from axijax.vector import from_rows
 
 ANY_OVERLAP = 1e9
 
@@ -45,51 +45,86 @@ def every_pair(specimen, images, skin):
     return found
 
 
-def entries(network):
-    """(i, j, k) of every entry in use, with its slot."""
-    neighbor, image = np.asarray(network.neighbor), np.asarray(network.image)
-    slots, balls = np.nonzero(neighbor >= 0)
-    keys = [(int(i), int(neighbor[s, i]), int(image[s, i])) for s, i in zip(slots, balls, strict=True)]
-    assert len(set(keys)) == len(keys), "no contact twice"
-    return dict(zip(keys, slots, strict=True))
+def listed(network):
+    """(i, j, k) of every contact in the list, with its place in it."""
+    columns = (np.asarray(a).tolist() for a in (network.first, network.second, network.image))
+    keys = [(place, key) for place, key in enumerate(zip(*columns, strict=True)) if key[2] >= 0]
+    assert len({key for _, key in keys}) == len(keys), "no contact twice"
+    return {key: place for place, key in keys}
+
+
+def from_both_sides(contacts, on_axis, images):
+    """The directed contacts: (i, j, k) as it is, and (j, i, -k); a ball on the axis meets all images of its neighbour."""
+    for i, j, k in contacts:
+        yield i, j, k
+        if (j, i, -k % images) != (i, j, k):  # a ball against its own image at 180 degrees has one side only
+            yield from ((j, i, turn) for turn in (range(images) if on_axis[j] and not on_axis[i] else [-k % images]))
 
 
 @pytest.mark.parametrize("order", range(1, 13))
-def test_list_holds_every_pair_of_images_within_reach_and_no_other(order):
+def test_list_holds_every_pair_of_images_within_reach_once(order):
+    """Completed by (j, i, -k), the contacts are those of the search, and none comes up twice."""
     specimen, skin = random_balls(order, seed=0), 0.3
     network = build_network(specimen, Sector(order), skin=skin, largest_overlap=ANY_OVERLAP)
-    expected, found = every_pair(specimen, order, skin), entries(network)
-    assert set(found) == set(expected)
+    expected, found = every_pair(specimen, order, skin), listed(network)
+    on_axis = (np.hypot(*specimen.positions[:2]) == 0) & (order > 1)
+    both_sides = list(from_both_sides(found, on_axis, order))
+    assert len(both_sides) == len(set(both_sides))
+    assert set(both_sides) == set(expected)
     if order > 1:
-        assert {k for _, _, k in found} == set(range(order)), "near the axis every image has neighbours"
-    branch, reach = np.asarray(network.branch), np.asarray(network.reach)
-    for (i, j, k), slot in found.items():
-        np.testing.assert_allclose(branch[:, slot, i], expected[i, j, k], rtol=0, atol=1e-13)
-        assert reach[slot, i] == pytest.approx(specimen.radius[i] + specimen.radius[j], rel=1e-15)
+        assert {k for _, _, k in both_sides} == set(range(order)), "near the axis every image has neighbours"
+    branch, overlap = np.asarray(network.branch), np.asarray(network.overlap)
+    for (i, j, k), place in found.items():
+        np.testing.assert_allclose(branch[:, place], expected[i, j, k], rtol=0, atol=1e-13)
+        distance = np.linalg.norm(expected[i, j, k])
+        assert overlap[place] == pytest.approx(specimen.radius[i] + specimen.radius[j] - distance, abs=1e-13)
+    assert (np.delete(overlap, list(found.values())) < -100).all(), "what is no contact must never touch"
 
 
 @pytest.mark.parametrize("order", [3, 4, 7])
 def test_between_rigid_planes_a_ball_has_no_image(order):
     specimen, skin = random_balls(order, seed=1, on_axis=0), 0.3
     network = build_network(specimen, Sector(order, "rigid"), skin=skin, largest_overlap=ANY_OVERLAP)
-    assert set(entries(network)) == set(every_pair(specimen, 1, skin))
+    assert set(from_both_sides(listed(network), np.zeros(25, bool), 1)) == set(every_pair(specimen, 1, skin))
 
 
 @pytest.mark.parametrize("order", range(1, 13))
-def test_each_contact_is_seen_from_both_balls(order):
-    """(i, j, k) and (j, i, -k), branches opposite after the turn; a ball on the axis instead meets every image."""
-    specimen = random_balls(order, seed=2)
-    network = build_network(specimen, Sector(order), skin=0.3, largest_overlap=ANY_OVERLAP)
-    found, branch = entries(network), np.asarray(network.branch)
+def test_each_contact_acts_on_both_its_balls(order):
+    """Summed on the balls, a vector of the contacts is what every ball finds looking round: for one that changes sign
+    seen from the other side, as a force does, and for one that does not, as a moment."""
+    specimen, skin = random_balls(order, seed=2), 0.3
+    network = build_network(specimen, Sector(order), skin=skin, largest_overlap=ANY_OVERLAP)
+    on_axis = (np.hypot(*specimen.positions[:2]) == 0) & (order > 1)
+    pairs = every_pair(specimen, order, skin)
+    for i, j, k in [key for key in pairs if on_axis[key[0]] and not on_axis[key[1]]]:
+        assert all((i, j, image) in pairs for image in range(order))
+
+    def expected(vector):
+        total = np.zeros((3, len(specimen)))
+        for (i, _, _), branch in pairs.items():
+            total[:, i] += vector(branch)
+        return total
+
+    branch = network.branch
+    listed_only = (network.image >= 0).astype(float)
+    length = np.linalg.norm(np.asarray(branch), axis=0)
+    odd = network.sum_on_balls(branch * (listed_only * length), reaction=-1)
+    even = network.sum_on_balls(branch * (listed_only * branch.z), reaction=1)
+    np.testing.assert_allclose(np.asarray(odd), expected(lambda b: b * np.linalg.norm(b)), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(np.asarray(even), expected(lambda b: b * b[2]), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", range(1, 7))
+def test_shares_count_every_contact_of_the_full_cylinder_once(order):
+    """The shares add up to 1/n of the contacts among all n copies of the balls."""
+    specimen, skin = random_balls(order, seed=6), 0.3
+    network = build_network(specimen, Sector(order), skin=skin, largest_overlap=ANY_OVERLAP)
     on_axis = np.hypot(*specimen.positions[:2]) == 0
-    for (i, j, k), slot in found.items():
-        if order > 1 and on_axis[j]:
-            assert k == 0
-            assert on_axis[i] or all((j, i, image) in found for image in range(order))
-            continue
-        back = (j, i, 0 if order > 1 and on_axis[i] else -k % order)
-        opposite = -turned(branch[:, found[back], j], 2 * np.pi * k / order)
-        np.testing.assert_allclose(branch[:, slot, i], opposite, rtol=0, atol=1e-13)
+    copies = [(i, k) for i in range(len(specimen)) for k in range(1 if on_axis[i] else order)]
+    places = np.stack([turned(specimen.positions[:, i], 2 * np.pi * k / order) for i, k in copies], axis=1)
+    radius = specimen.radius[[i for i, _ in copies]]
+    full = Specimen(places, radius, -3.0, 3.0, np.ones(radius.size, bool))
+    assert float(network.share.sum()) == pytest.approx(len(every_pair(full, 1, skin)) / 2 / order, rel=1e-12)
 
 
 def test_balls_on_the_axis_are_held_on_it_and_shared_by_all_sectors():
@@ -111,28 +146,26 @@ def test_springs_stay_with_their_contacts_through_a_rebuild(order):
     moves[:, :2] = 0.0  # on the axis
     after = replace(before, positions=np.clip(before.positions + moves, [[-9], [-9], [-3]], [[9], [9], [3]]))
     old = build_network(before, sector, skin=skin, largest_overlap=ANY_OVERLAP)
-    new = build_network(after, sector, skin=skin, width=old.neighbor.shape[0] + 4, largest_overlap=ANY_OVERLAP)
-    shuffle = np.argsort(rng.uniform(size=new.neighbor.shape), axis=0)
-    new = replace(
-        new,
-        neighbor=jnp.asarray(np.take_along_axis(np.asarray(new.neighbor), shuffle, axis=0)),
-        image=jnp.asarray(np.take_along_axis(np.asarray(new.image), shuffle, axis=0)),
-    )
-    springs = rng.normal(size=old.branch.shape)  # in empty entries too: these must not go anywhere
-    carried = np.asarray(carry_springs(old, new, springs))
-    had, has = entries(old), entries(new)
+    new = build_network(after, sector, skin=skin, contacts=old.first.size + 40, largest_overlap=ANY_OVERLAP)
+    shuffle = rng.permutation(new.first.size)
+    new = replace(new, first=new.first[shuffle], second=new.second[shuffle], image=new.image[shuffle])
+    springs = rng.normal(size=(3, old.first.size))  # where no contact is, too: these must not go anywhere
+    carried = np.asarray(carry_springs(old, new, from_rows(springs)))
+    had, has = listed(old), listed(new)
     assert had.keys() - has.keys() and has.keys() - had.keys() and len(had.keys() & has.keys()) > 20
-    expected = np.zeros(carried.shape)
-    for i, j, k in had.keys() & has.keys():
-        expected[:, has[i, j, k], i] = springs[:, had[i, j, k], i]
+    expected = np.zeros((3, new.first.size))
+    for key in had.keys() & has.keys():
+        expected[:, has[key]] = springs[:, had[key]]
     np.testing.assert_array_equal(carried, expected)
 
 
 def test_a_padded_list_holds_the_same_contacts():
-    """More entries and copies than are needed change its shape only."""
+    """More slots and contacts than are needed change its shape only."""
     specimen, sector = random_balls(4, seed=5), Sector(4)
     tight = build_network(specimen, sector, largest_overlap=ANY_OVERLAP)
-    width, copies = tight.neighbor.shape[0] + 3, tight.copy_of.size + 7
-    padded = build_network(specimen, sector, width=width, copies=copies, largest_overlap=ANY_OVERLAP)
-    assert padded.neighbor.shape == (width, 25) and padded.copy_of.shape == (copies,)
-    assert entries(padded) == entries(tight)
+    width, contacts = tight.slot.shape[0] + 3, tight.first.size + 24
+    padded = build_network(specimen, sector, width=width, contacts=contacts, largest_overlap=ANY_OVERLAP)
+    assert padded.slot.shape == (width, 25) and padded.first.shape == (contacts,)
+    assert listed(padded) == listed(tight)
+    sums = [np.asarray(network.sum_on_balls(network.branch, reaction=-1)) for network in (tight, padded)]
+    np.testing.assert_allclose(*sums, rtol=0, atol=1e-12)

@@ -14,10 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from axijax.dynamics import Params, Scene, all_forces, initial_state, make_step
+from axijax.dynamics import Params, Scene, all_forces, initial_state, make_step, positions
+from axijax.membrane import Load
 from axijax.neighbors import build_network, carry_springs
 from axijax.packing import Specimen, cut_to_sector, fcc_octagon
 from axijax.sector import Sector, radial_distance
+from axijax.vector import from_rows
 
 TRAP_RATE = 0.1
 STEP = 0.1
@@ -31,6 +33,7 @@ PARAMS = Params(
 )
 SCENE = Scene()
 FAR_PLATENS = (-30.0, 30.0)
+NO_LOAD = Load(jnp.zeros(2), jnp.ones(()))  # on two balls
 
 
 class Motion(NamedTuple):
@@ -58,11 +61,11 @@ def specimen_of(positions, radius=1.0, platens=FAR_PLATENS):
 
 def state_of(network, motion, platens):
     still = initial_state(network, SCENE, jnp.array(platens))
-    return still._replace(velocity=jnp.asarray(motion.velocity), spin=jnp.asarray(motion.spin))
+    return still._replace(velocity=from_rows(motion.velocity), spin=from_rows(motion.spin))
 
 
 def motion_of(network, state):
-    return Motion(*(np.asarray(v) for v in (network.positions + state.displacement, state.velocity, state.spin)))
+    return Motion(*(np.asarray(v) for v in (positions(network, state), state.velocity, state.spin)))
 
 
 # Many small programs that run briefly: not worth optimising.
@@ -76,8 +79,8 @@ def advance(steps, params, network, trap, state):
     step = make_step(SCENE, lambda params, state, dt, push, area: jnp.zeros(2))
 
     def one(_, state):
-        areas = trap * radial_distance(network.positions + state.displacement)
-        return step(params, network, areas, STEP, state)
+        areas = trap * radial_distance(positions(network, state))
+        return step(params, network, Load(areas, jnp.ones(())), STEP, state)
 
     return jax.lax.fori_loop(0, steps, one, state)
 
@@ -87,7 +90,7 @@ def moved(specimen, sector, motion, steps, params=PARAMS, skin=2.0, trap_rate=TR
     network = build_network(specimen, sector, skin=skin, **options)
     state = state_of(network, motion, (specimen.bottom, specimen.top))
     state = advance(steps, params, network, trap_rate**2 * jnp.asarray(specimen.radius) ** 3, state)
-    assert 2 * np.abs(state.displacement).max() < skin, "the list of the start no longer holds"
+    assert 2 * np.abs(np.asarray(state.displacement)).max() < skin, "the list of the start no longer holds"
     return motion_of(network, state)
 
 
@@ -117,23 +120,28 @@ def orbiting_pair(spin):
 
 class Record(NamedTuple):
     motion: Motion
-    spring: np.ndarray  # (3, 2), of each ball's one contact
-    image: np.ndarray  # (2,), of each ball's neighbour
-    sliding: bool | None
+    spring: np.ndarray  # (3,)
+    image: int  # of the second ball
 
 
-def is_sliding(params, network, state):
-    return bool(forces_on(SCENE, params, network, jnp.zeros(2), STEP, state).contacts.sliding.all())
+def is_sliding(params, record, network, state):
+    """Whether the force of the pair's contact is at the Coulomb limit (without a sector)."""
+    force = np.asarray(forces_on(SCENE, params, network, NO_LOAD, STEP, state).contacts.force)[:, 0]
+    normal = record.motion.positions[:, 0] - record.motion.positions[:, 1]
+    normal /= np.linalg.norm(normal)
+    push = force @ normal
+    return np.linalg.norm(force - push * normal) > (1 - 1e-9) * params.friction * push
 
 
-def orbit(sector, params, motion, first_turns):
+def orbit(sector, params, motion, first_turns, sliding=None):
     """Records of the orbit after each block, every ball brought back into the sector between blocks.
 
     A ball that is replaced by its image k takes velocity, spin and springs along by the same turn, and its
     contacts are relabelled. The records are turned back, to where the balls would be without a sector.
+    sliding: whether the contact must slide, or stick, after every block; None does not look.
     """
     platens = (0.0, PLATEN_GAP)
-    build = partial(build_network, sector=sector, skin=0.5, width=1, copies=2)
+    build = partial(build_network, sector=sector, skin=0.5)
     trap = TRAP_RATE**2 * jnp.ones(2)
     turns = np.array(first_turns)
     motion = turned(sector, motion, turns)
@@ -143,22 +151,20 @@ def orbit(sector, params, motion, first_turns):
     for _ in range(BLOCKS):
         state = advance(BLOCK_STEPS, params, network, trap, state)
         motion = motion_of(network, state)
-        records.append(
-            Record(
-                turned(sector, motion, -turns),
-                sector.rotate(np.asarray(state.spring), -turns)[:, 0],
-                np.asarray(network.image)[0],
-                is_sliding(params, network, state) if sector.order == 1 else None,
-            )
-        )
+        spring = np.asarray(state.spring)  # of the one contact, in the frame of its first ball, which is ball 0
+        record = Record(turned(sector, motion, -turns), sector.rotate(spring, -turns[0])[:, 0], int(network.image[0]))
+        records.append(record)
+        if sliding is not None:
+            assert is_sliding(params, record, network, state) == sliding
         # Bring the balls home. The pair moves as one, so that the list is still right after more than half the skin.
         home = sector.home_image(motion.positions)
-        relabelled = (np.asarray(network.image) + home - home[np.asarray(network.neighbor)]) % sector.images
+        image = np.asarray(network.image)
+        relabelled = np.where(image >= 0, (image + home[0] - home[1]) % sector.images, -1)
         old = replace(network, image=jnp.asarray(relabelled))
         motion, turns = turned(sector, motion, home), turns + home
         network = build(specimen_of(motion.positions, platens=platens))
-        spring = carry_springs(old, network, sector.rotate(np.asarray(state.spring), home))
-        state = state_of(network, motion, state.platens)._replace(spring=jnp.asarray(spring), time=state.time)
+        spring = carry_springs(old, network, from_rows(sector.rotate(spring, home[0])))
+        state = state_of(network, motion, state.platens)._replace(spring=spring, time=state.time)
     return records
 
 
@@ -168,15 +174,10 @@ def free_orbit(request):
     sliding = request.param == "sliding"
     params = replace(PARAMS, friction=0.02 if sliding else 0.6)
     motion = orbiting_pair(np.array([0.03, 0.0, 0.06]) if sliding else np.array([1e-3, 0.0, 1.5e-3]))
-    records = orbit(Sector(1), params, motion, [0, 0])
+    records = orbit(Sector(1), params, motion, [0, 0], sliding)
     angles = np.unwrap([np.arctan2(*record.motion.positions[1::-1, 0]) for record in records])
     assert angles[-1] - angles[0] > 2 * np.pi * 0.95, "the pair must orbit once"
-    assert all(np.linalg.norm(record.spring, axis=0).min() > 0 for record in records), "the contact must stay closed"
-    if sliding:
-        assert all(record.sliding for record in records)
-    else:
-        assert not any(record.sliding for record in records)
-        assert max(np.abs(record.spring).max() for record in records) > 1e-4, "the contact must carry a spring"
+    assert max(np.abs(record.spring).max() for record in records) > 1e-4, "the contact must carry a spring"
     return params, motion, records
 
 
@@ -185,7 +186,7 @@ def test_pair_orbiting_across_the_planes_moves_as_without_a_sector(free_orbit, o
     """Position, velocity, spin and spring are those of the run without a sector, through all planes of a full turn."""
     params, motion, expected = free_orbit
     found = orbit(Sector(order), params, motion, [0, 1])
-    assert len({tuple(record.image) for record in found}) >= 2, "the contact must cross a plane"
+    assert len({record.image for record in found}) >= 2, "the contact must cross a plane"
     for one, other in zip(found, expected, strict=True):
         assert_same(one.motion, other.motion)
         np.testing.assert_allclose(one.spring, other.spring, rtol=0, atol=1e-10)
@@ -209,18 +210,19 @@ def test_pair_near_a_plane_feels_the_force_of_the_pair_turned_into_the_interior(
     def response(motion, first_turns, spring, expected_image):
         motion = turned(sector, motion, first_turns)
         network = build_network(specimen_of(motion.positions), sector, skin=0.1)
-        np.testing.assert_array_equal(np.asarray(network.image), [expected_image])
-        springs = sector.rotate(np.stack([spring, -spring], axis=1), np.asarray(first_turns))
-        state = state_of(network, motion, FAR_PLATENS)._replace(spring=jnp.asarray(springs[:, None]))
-        forces = forces_on(SCENE, PARAMS, network, jnp.zeros(2), STEP, state)
-        vectors = forces.resultant, forces.moment, forces.contacts.spring[:, 0]
-        return [sector.rotate(np.asarray(vector), -np.asarray(first_turns)) for vector in vectors]
+        assert int(network.image[0]) == expected_image
+        springs = np.zeros((3, network.first.size))
+        springs[:, 0] = sector.rotate(spring, first_turns[0])
+        state = state_of(network, motion, FAR_PLATENS)._replace(spring=from_rows(springs))
+        forces = forces_on(SCENE, PARAMS, network, NO_LOAD, STEP, state)
+        on_balls = [sector.rotate(np.asarray(v), -np.asarray(first_turns)) for v in (forces.resultant, forces.moment)]
+        return *on_balls, sector.rotate(np.asarray(forces.contacts.spring), -first_turns[0])[:, 0]
 
     home = sector.home_image(motion.positions)
     assert home[0] != home[1]
     half = rotation(sector.angle / 2)
-    inside = response(Motion(*(half @ vectors for vectors in motion)), [0, 0], half @ spring, [0, 0])
-    across = response(motion, home, spring, (home - home[::-1]) % order)
+    inside = response(Motion(*(half @ vectors for vectors in motion)), [0, 0], half @ spring, 0)
+    across = response(motion, home, spring, (home[0] - home[1]) % order)
     for found, expected in zip(across, inside, strict=True):
         assert np.abs(expected).max() > 1e-4
         np.testing.assert_allclose(half @ found, expected, rtol=0, atol=1e-13)
@@ -243,26 +245,26 @@ def test_rigid_swirl_makes_no_force(order, friction):
     """
     sector, scene = Sector(order), Scene(friction=friction)
     network = build_network(cut_to_sector(pressed_octagon(), sector), sector)
-    positions = np.asarray(network.positions)
+    place = np.asarray(network.positions)
     rate, angle = 0.1, 0.02
     turn = rotation(angle)
     axis = np.array([[0.0], [0.0], [1.0]])
     rest = initial_state(network, scene, jnp.array([-9.0, 9.0]))
     swirl = rest._replace(
-        displacement=jnp.asarray(turn @ positions - positions),
-        velocity=jnp.asarray(rate * np.cross(axis, turn @ positions, axis=0)),
-        spin=jnp.asarray(rate * axis * np.ones_like(positions)) if friction else None,
+        displacement=from_rows(turn @ place - place),
+        velocity=from_rows(rate * np.cross(axis, turn @ place, axis=0)),
+        spin=from_rows(rate * axis * np.ones_like(place)) if friction else None,
     )
-    areas = jnp.zeros(positions.shape[1])
-    expected, found = (forces_on(scene, PARAMS, network, areas, STEP, state) for state in (rest, swirl))
-    assert np.abs(expected.resultant).max() > 1e-3
+    no_load = Load(jnp.zeros(place.shape[1]), jnp.ones(()))
+    expected, found = (forces_on(scene, PARAMS, network, no_load, STEP, state) for state in (rest, swirl))
+    assert np.abs(np.asarray(expected.resultant)).max() > 1e-3
     overlap = 0.01  # of two balls
     viscosity = 2 * PARAMS.damping_ratio * np.sqrt(PARAMS.shear_stiffness / 2)
     slack = 12 * (PARAMS.shear_stiffness * STEP + viscosity) * rate * overlap if friction else 0.0
     assert slack < 0.2 * viscosity * rate * 2, "far below what a slip at a ball's own swirl would give"
-    np.testing.assert_allclose(found.resultant, turn @ np.asarray(expected.resultant), rtol=0, atol=1e-14 + slack)
+    np.testing.assert_allclose(np.asarray(found.resultant), turn @ np.asarray(expected.resultant), rtol=0, atol=1e-14 + slack)
     if friction:
-        np.testing.assert_allclose(found.moment, 0, atol=1e-14 + slack)
+        np.testing.assert_allclose(np.asarray(found.moment), 0, atol=1e-14 + slack)
 
 
 # Balls near the axis, and whole specimens, each against all n turned copies without a sector.
@@ -292,10 +294,16 @@ def assert_moves_as_full_cylinder(specimen, sector, steps, seed=0, speed=0.01, *
 
 
 def contact_images(specimen, sector, i, j, **options):
-    """The images of ball j that ball i touches."""
+    """The images of ball j that ball i, which is not on the axis, may touch; j = i for its own."""
     network = build_network(specimen, sector, skin=0.0, **options)
-    neighbor, image = np.asarray(network.neighbor)[:, i], np.asarray(network.image)[:, i]
-    return sorted(image[neighbor == j].tolist())
+    listed = zip(*(np.asarray(a).tolist() for a in (network.first, network.second, network.image)), strict=True)
+    images = set()
+    for first, second, k in listed:
+        if (first, second) == (i, j) and k >= 0:
+            images.add(k)
+        if (second, first) == (i, j) and k >= 0:
+            images.add(-k % sector.order)
+    return sorted(images)
 
 
 def polar(*balls):
@@ -324,9 +332,8 @@ def test_balls_with_their_centre_on_the_axis(order):
     height = np.sqrt(1.99**2 - 1.8**2)
     specimen = specimen_of(polar((0, 0, 0), (0, 0, 1.99), (1.8, 20, -height), (1.8, 30, 1.99 + height)))
     assert contact_images(specimen, sector, 0, 0) == []
-    assert contact_images(specimen, sector, 0, 1) == contact_images(specimen, sector, 1, 0) == [0]
-    assert contact_images(specimen, sector, 2, 0) == [0]
-    assert contact_images(specimen, sector, 0, 2) == list(range(order))
+    assert contact_images(specimen, sector, 0, 1) == [0]
+    assert contact_images(specimen, sector, 2, 0) == contact_images(specimen, sector, 3, 1) == [0]
     assert_moves_as_full_cylinder(specimen, sector, 60)
 
 
@@ -370,7 +377,7 @@ def test_any_choice_of_representatives_runs_identically(order):
     k = rng.integers(order, size=len(specimen))
     start_turned = turned(sector, start, k)
     other = replace(specimen, positions=start_turned.positions)
-    assert len(np.unique(np.asarray(build_network(other, sector, skin=0.1).image))) == order
+    assert set(range(1, order)) & set(np.asarray(build_network(other, sector, skin=0.1).image).tolist()) >= {2, 3}
     assert_same(turned(sector, run(other, motion=start_turned), -k), expected)
 
 
