@@ -39,6 +39,8 @@ def table1(
     started = time.perf_counter()
     folder = writable_folder(output)
     console = Console()
+    if not console.is_terminal:
+        console.width = 120
     columns = (
         TextColumn("{task.description:28}"),
         BarColumn(),
@@ -62,21 +64,28 @@ def table1(
     console.print(_table(rows))
     for note in paper.NOTES:
         console.print(f"- {note}", highlight=False)
-    worst = max(float(max(row.run.curve.confinement[:2])) for row in rows)
+    confined = [row.run.curve.confinement for row in rows]
     console.print(
-        f"Confined to an unbalanced force and a stress error below {worst:.0e} each; "
-        f"{time.perf_counter() - started:.1f} s in all."
+        f"Confined to an unbalanced force of {max(float(c.unbalanced_force) for c in confined):.1e} and a stress error "
+        f"of {max(float(c.stress_error) for c in confined):.1e} at most, in {max(int(c.steps) for c in confined)} steps "
+        f"at most; {time.perf_counter() - started:.1f} s in all.",
+        highlight=False,
     )
     console.print("Written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
 
 
 def _table(rows):
+    from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    table = Table(title="Peak stress ratio s1/s3, FCC octagon of 1672 balls (Cui & O'Sullivan 2005, Table 1)")
-    heads = ("boundary", "n", "f", "theory", "paper", "peak", "vs theory", "vs paper", "core", "virial")
-    for head in (*heads, "strain at peak", "paper's", "unbalanced", "seconds"):
-        table.add_column(head, justify="left" if head == "boundary" else "right")
+    table = Table(
+        title="Peak stress ratio s1/s3 of the FCC octagon (Cui & O'Sullivan 2005, Table 1)",
+        caption="core, virial: Love-Weber ratio of the inner core, area-free ratio of platens and membrane",
+        box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0),
+    )  # fmt: skip
+    heads = ("boundary", "n", "f", "theory", "paper", "peak", "-theory", "-paper", "core", "virial", "strain", "s")
+    for head in heads:
+        table.add_column(head, justify="left" if head == "boundary" else "right", no_wrap=True)
     for row in rows:
         values = row.values()
         peak = values["peak_ratio"]
@@ -87,13 +96,11 @@ def _table(rows):
             f"{values['theory']:.3f}",
             f"{values['paper']:.2f}",
             f"{peak:.3f}",
-            f"{100 * (peak / values['theory'] - 1):+.1f} %",
-            f"{100 * (peak / values['paper'] - 1):+.1f} %",
+            f"{100 * (peak / values['theory'] - 1):+.1f}%",
+            f"{100 * (peak / values['paper'] - 1):+.1f}%",
             f"{values['core_ratio']:.3f}",
             f"{values['virial_ratio']:.3f}",
-            f"{100 * values['axial_strain_at_peak']:.2f} %",
-            f"{100 * row.paper_run.paper_strain:.2f} %",
-            f"{float(row.run.curve.unbalanced_force.max()):.0e}",
+            f"{100 * values['axial_strain_at_peak']:.2f}%",
             f"{values['seconds']:.1f}",
         )
     return table
