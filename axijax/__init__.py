@@ -7,6 +7,7 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
+from axijax import theory  # noqa: E402
 from axijax.dynamics import Params, Scene  # noqa: E402
 from axijax.packing import Specimen, fcc_cylinder, fcc_octagon  # noqa: E402
 from axijax.platform import fast_cpu_kernels  # noqa: E402
@@ -25,4 +26,5 @@ __all__ = [
     "fcc_cylinder",
     "fcc_octagon",
     "raise_for_status",
+    "theory",
 ]

@@ -174,6 +174,62 @@ def _fcc(radius: float, layers: int, half_width: int, filled, name: str) -> Spec
     )
 
 
+# Lattices of touching balls in horizontal layers, in ball radii: the two shortest steps within a layer, the shift of
+# every second layer, and the distance of the layers.
+_LAYERED = {
+    "bcc": (((4 / 3**0.5, 0.0), (0.0, 4 / 3**0.5)), (2 / 3**0.5, 2 / 3**0.5), 2 / 3**0.5),
+    "hcp": (((2.0, 0.0), (1.0, 3**0.5)), (1.0, 3**-0.5), (8 / 3) ** 0.5),
+    "sc": (((2.0, 0.0), (0.0, 2.0)), (0.0, 0.0), 2.0),
+}
+
+
+def lattice_cylinder(
+    lattice: str, radius: float = 20.0, layers: int = 25, specimen_radius: float = 200.0
+) -> Specimen:
+    """Prism of circular section of a "bcc", "hcp" or "sc" lattice: every site whose ball lies within specimen_radius [L].
+
+    A cube axis (the c axis in HCP) is vertical and goes through a ball of the lowest layer, so that sectors of order 1, 2
+    or 4 fit (1 or 3 in HCP). Neighbours just touch, and so do the platens and the end layers. The membrane zone is
+    every ball that lacks one of its nearest sites within its own layer.
+    """
+    if lattice not in _LAYERED:
+        raise ValueError(f"lattice = {lattice!r}: must be one of {', '.join(_LAYERED)}; FCC has `fcc_cylinder`.")
+    _positive("radius", radius)
+    _positive("specimen_radius", specimen_radius)
+    _whole("layers", layers, 1)
+    steps, shift, spacing = _LAYERED[lattice]
+    limit = specimen_radius / radius - 1.0
+    if limit < 3:
+        raise ValueError(
+            f"specimen_radius = {specimen_radius!r}: must be at least 4 ball radii ({4 * radius:g}), or no ball is "
+            "left inside the membrane."
+        )
+    reach = int(limit) + 2
+    a, b = np.meshgrid(np.arange(-reach, reach + 1), np.arange(-reach, reach + 1), indexing="ij")
+    sites = np.stack([a.ravel(), b.ravel()])
+    near = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)] + [(1, -1), (-1, 1)] * (lattice == "hcp"))
+
+    def inside(sites, layer):
+        x, y = np.array(steps).T @ sites.reshape(2, -1) + (layer % 2) * np.array(shift)[:, None]
+        return np.stack([x, y]), (x**2 + y**2 <= limit**2 * (1 + 1e-12))
+
+    parts, zones = [], []
+    for layer in range(layers):
+        place, kept = inside(sites, layer)
+        complete = np.all([inside(sites + step[:, None], layer)[1] for step in near], axis=0)
+        zones.append(~complete[kept])
+        height = np.full(kept.sum(), radius * (1 + layer * spacing))
+        parts.append(np.concatenate([radius * place[:, kept], height[None]]))
+    return Specimen(
+        positions=np.concatenate(parts, axis=1),
+        radius=np.array(radius, float),
+        bottom=0.0,
+        top=float(radius * (2 + (layers - 1) * spacing)),
+        membrane_zone=np.concatenate(zones),
+        name=f"{lattice.upper()} cylinder, {layers} layers",
+    )
+
+
 def _positive(name: str, value: float) -> None:
     if not (np.isfinite(value) and value > 0):
         raise ValueError(f"{name} = {value!r}: must be positive and finite.")

@@ -10,8 +10,8 @@ def fast_cpu_kernels() -> bool:
 
     Call it before the first JAX computation of the process; returns whether it took effect. The command line calls it
     by itself. It acts on every program of the process, and in the XLA of jax 0.10 it has a defect that ends the
-    process: reverse mode through a scan that gathers by index (`jax.grad` of other code of yours, not of axijax, whose
-    gathers bring their own transpose). Leave it out where you need that.
+    process: reverse mode (`jax.grad`, `jax.vjp`) through a scan that gathers by index, which a test is. Forward mode
+    is right and fast. Leave it out in a process that needs reverse mode.
     """
     from jax._src import xla_bridge
 
@@ -22,3 +22,8 @@ def fast_cpu_kernels() -> bool:
         return False
     os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options={FUSION_OPTION}=true".strip()
     return True
+
+
+def fast_cpu_kernels_are_on() -> bool:
+    """Whether this process was told to use the fast kernels, so that reverse mode would end it."""
+    return FUSION_OPTION in os.environ.get("XLA_FLAGS", "")

@@ -38,7 +38,7 @@ from axijax.sector import Sector, radial_distance
 from axijax.vector import zeros
 
 SEGMENT = 1000  # steps between looks at the run from outside: progress, rebuilding, errors
-STALE = 1e-3  # largest share of the strip's area that may be counted to the wrong cell
+STALE = 1e-2  # largest share of the strip's area that may be counted to the wrong cell; rebuilt at a twentieth
 CONFINE_BLOCK = 50  # steps between looks at the balance, and between refreshes of the membrane, in confinement
 
 # Bits of the status code that a run carries; `raise_for_status` turns them into sentences.
@@ -48,10 +48,14 @@ REMEDIES = {
     NOT_FINITE: "a position is no longer finite: the run is unstable; lower time_step or check the parameters",
     NOT_CONFINED: "confinement did not reach the stated equilibrium; raise confine_steps or the tolerance",
     STALE_LIST: (
-        "a ball moved more than half the skin of the neighbour list, so a contact may have been missed; "
-        "stop at a smaller axial_strain, or use `run`, which rebuilds the list"
+        "a ball moved more than half the skin of the contact list before it was rebuilt, so a contact may have been "
+        "missed; stop at a smaller axial_strain (past its peak a specimen may collapse), and beyond 2 % use `run`, "
+        "which rebuilds the list, not `simulate`, which keeps it"
     ),
-    STALE_CELLS: "the membrane's triangulation no longer fits its balls; use `run`, which rebuilds it",
+    STALE_CELLS: (
+        "the membrane's balls have moved past one another since it was triangulated; stop at a smaller axial_strain, "
+        "and beyond 2 % use `run`, which triangulates again, not `simulate`"
+    ),
     ESCAPED: "a ball has left the membrane or passed a platen; lower time_step or stop at a smaller axial_strain",
 }
 
@@ -231,7 +235,7 @@ class TriaxialTest:
             strain = 1 - float(state.platens[1] - state.platens[0]) / height
             if progress is not None:
                 progress(strain, float(records[-1].stress_ratio[-1]))
-            if strain < self.axial_strain and float(_wear(network, membrane, state).max()) > 0.5:
+            if strain < self.axial_strain and float(_wear(network, membrane, state).max()) > 1:
                 cut, network, membrane, state = _rebuilt(cut, network, membrane, state)
         curve = make_curve(_join(records), balance)
         wanted = np.asarray(curve.axial_strain) <= self.axial_strain
@@ -388,6 +392,8 @@ def _shear(scene: Scene, protocol: Protocol, numbers, params: Params, state: Sta
         state = _repeat(lambda s: step(params, network, load, dt, s), protocol.block_steps, state)
         return state, (seen, status)
 
+    # Reverse mode keeps the state before each block and runs the block again on the way back.
+    block = jax.checkpoint(block, prevent_cse=False)
     state, (seen, status) = jax.lax.scan(block, state, None, length=protocol.blocks)
     return state, seen, status
 
@@ -406,9 +412,9 @@ def _trouble(network: Network, membrane: Membrane, state: State, load: Load) -> 
 
 @jax.jit
 def _wear(network: Network, membrane: Membrane, state: State) -> jax.Array:
-    """How far the lists have aged, as a share of what is allowed: contact list and membrane; (2,)."""
+    """How far the lists have aged, contact list and membrane, as a share of where they are rebuilt; (2,)."""
     load = _load(membrane, network, state)
-    return jnp.stack([2 * _farthest(state) / network.skin, load.stale / STALE])
+    return jnp.stack([4 * _farthest(state) / network.skin, 20 * load.stale / STALE])
 
 
 def _farthest(state: State):

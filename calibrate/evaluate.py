@@ -57,12 +57,13 @@ class Evaluator:
     model: of P parameters. targets: Datum and MeasuredCurve objects; their numbers are put in one row, M in all.
     log: path of the evaluation log, continued where it exists.
 
-    Raises ValueError for no target, a target beyond the run's last strain, fewer numbers than parameters
-    (`check_count`), or a log that belongs to another fit.
+    Raises ValueError for no target, limits beyond the test's time step (Model.check_stiffest), a target beyond the
+    run's last strain, fewer numbers than parameters (`check_count`), or a log that belongs to another fit.
     """
 
     def __init__(self, model: Model, targets, log=None):
         self.model = model
+        model.check_stiffest()
         model.cost = Cost(tangent_cost=model.cost.tangent_cost)  # each fit counts its own runs
         self.targets = list(targets) if isinstance(targets, list | tuple) else [targets]
         if not self.targets:

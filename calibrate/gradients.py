@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from calibrate.model import Model, RunFailed, jacobian_of
-from calibrate.parameters import ParameterSet, coordinate_rate
+from calibrate.parameters import coordinate_rate
 
 STEPS = (1e-2, 1e-3, 1e-4)  # h of the sweep, relative to the value (for friction to f(1 - f)): steps in the coordinate
 AGREEMENT = 1e-2  # largest relative disagreement of the target's derivative that counts as agreement
@@ -107,7 +107,7 @@ def gradient(
 
     Raises ValueError for names and values that make no sense, RunFailed where the run itself is not sound.
     """
-    model = simulator if isinstance(simulator, Model) else _model(simulator, names, hold_time_step)
+    model = simulator if isinstance(simulator, Model) else Model(simulator, names, hold_time_step)
     z = model.parameters.coordinates(values)
     curve, tangents = model.run_with_tangents(z)
     target = (
@@ -122,15 +122,6 @@ def gradient(
     by_coordinate = {name: shape(jacobian[:, p]) for p, name in enumerate(model.parameters.names)}
     health = gradient_health(model, target, z, curve, tangents, jacobian, steps=steps) if check else None
     return Gradient(shape(value), {n: d / rate[n] for n, d in by_coordinate.items()}, by_coordinate, health)
-
-
-def _model(simulator, names, hold_time_step) -> Model:
-    # Only the neighbourhood of the test's own parameters is visited, so its time step holds without raising the
-    # density.
-    parameters = ParameterSet.of(simulator.params, names)
-    model = Model(simulator, parameters)
-    model.hold_time_step = hold_time_step
-    return model
 
 
 def gradient_health(model: Model, target, z, curve, tangents, jacobian, *, steps: Sequence[float] = STEPS) -> Health:

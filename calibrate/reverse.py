@@ -90,7 +90,7 @@ class FrictionMap:
         path = Path(path)
         rho = np.hypot(*self.positions[:2])
         order = np.argsort(np.abs(self.sensitivity))
-        figure = Figure(figsize=(6.5, 6), layout="constrained")
+        figure = Figure(figsize=(4.4, 7), layout="constrained")
         axes = figure.subplots()
         size = np.abs(self.sensitivity).max() or 1.0
         dots = axes.scatter(

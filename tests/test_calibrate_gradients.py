@@ -12,6 +12,7 @@ from calibrate_standin import StandIn
 from axijax.dynamics import Params, Scene
 from axijax.packing import fcc_octagon
 from axijax.triaxial import TriaxialTest
+from calibrate.evaluate import Evaluator
 from calibrate.gradients import gradient
 from calibrate.model import Model, RunFailed, jacobian_of, stretch_tangent
 from calibrate.parameters import ParameterSet
@@ -104,7 +105,7 @@ def test_failed_runs_and_bad_names():
     with pytest.raises(ValueError, match=r"friction = 1\.2: must lie in its limits"):
         gradient(StandIn(), HardPeak(), "f", {"f": 1.2})
     with pytest.raises(ValueError, match="build the test with the stiffest"):
-        Model(StandIn(), "kn", hold_time_step=False)
+        Evaluator(Model(StandIn(), "kn", hold_time_step=False), Datum(HardPeak(), 2.4, 0.05))
 
 
 def test_time_step_is_held_by_the_density():
@@ -141,8 +142,7 @@ def test_jacobian_of_a_target_is_the_chain_rule():
 
 @pytest.mark.slow
 def test_small_specimen_against_differences():
-    model = Model(small_test(), "f,kn")
-    model.hold_time_step = False
+    model = Model(small_test(), "f,kn", hold_time_step=False)
     for functional, tolerance in (
         (WindowMean(), 2e-3),
         (HardPeak(), 1e-2),
@@ -183,3 +183,34 @@ def test_map_of_frictions_adds_up_to_the_derivative(tmp_path):
     assert found.draw(tmp_path / "map.png").stat().st_size > 5000
     with pytest.raises(ValueError, match="one a ball"):
         friction_map(test, WindowMean(), np.ones(3))
+
+
+PEAKS = (WindowMean(0.0025, 0.004), HardPeak(), StrainAtPeak(), InitialSlope())
+# Largest gap to the best central difference, to friction and to log kn. At f = 0.12278 all of them; elsewhere those to
+# friction: past the peak at f = 0.3 the derivative to log kn is off by 12 % (small itself, and made of kinks).
+TO_FRICTION, TO_STIFFNESS = (2e-3, 1e-2, 1e-2, 1e-2), (1e-2, 2e-2, 1e-2, 1e-2)
+
+
+@pytest.fixture(scope="module")
+def paper_model():
+    """The paper's quarter with dashpots of 0.2, 0.02 a platen and three quarters of the critical time step."""
+    first = TriaxialTest(fcc_octagon(), params=SETTINGS, axial_strain=0.0055)
+    test = replace(first, time_step=0.75 / 0.6 * first.time_step)
+    return Model(test, "f,kn", hold_time_step=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("friction", [0.05, 0.12278, 0.2, 0.3])
+def test_paper_specimen_against_differences(paper_model, friction):
+    def functional(curve):
+        return jnp.stack([one(curve) for one in PEAKS])
+
+    found = gradient(paper_model, functional, values={"f": friction}, steps=(3e-3, 1e-3, 3e-4))
+    whole = friction == 0.12278
+    wanted = {"friction": TO_FRICTION if whole else TO_FRICTION[:2], "normal_stiffness": TO_STIFFNESS if whole else ()}
+    for name, limits in wanted.items():
+        differences = found.health.differences[name]
+        for place, (peak, limit) in enumerate(zip(PEAKS, limits, strict=False)):
+            gaps = {h: abs(float(found.by_value[name][place] / slope[place]) - 1) for h, slope in differences.items()}
+            print(f"f = {friction}: d({peak.name})/d({name}) = {float(found.by_value[name][place]):.5g}, gaps {gaps}")
+            assert min(gaps.values()) < limit, (name, peak, gaps)

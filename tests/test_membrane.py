@@ -161,7 +161,7 @@ def test_few_balls_tile_the_strip_or_are_refused(name, sector):
 
 
 def test_two_balls_at_one_place_are_refused():
-    with pytest.raises(ValueError, match="membrane_zone: ball 1 .* same place"):
+    with pytest.raises(ValueError, match="membrane_zone: ball [01] .* same place"):
         build_membrane(zone_specimen(np.array([0.3, 0.3, 1.0]), np.array([4.0, 4.0, 6.0])), Sector(4))
 
 

@@ -1,0 +1,231 @@
+"""The energy ledger: where the work done on a specimen went, kept beside the motion only where it is asked for.
+
+Work of the platens and of the lateral load = gain of kinetic and elastic energy + friction + damping. Every term has a
+definition of its own and none is found by difference, so that what is missing measures the integration.
+
+The step is a leapfrog: over [t - dt/2, t + dt/2] the kinetic energy grows by exactly the forces at t times the mean
+of the velocities before and after, times dt. All work is summed up with that mean, and every energy is that of a
+half step: t - dt/2 for a state at t. The work on a linear spring is then exactly the change of its energy, if that
+is k/2 times the stretch before times the stretch after the half step. So the balance closes to rounding, damping
+included, but for contacts that open, close or turn during a step.
+
+All terms are those of one sector: a ball on the axis counts 1/n, and each contact once.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from axijax.contact import geometry
+from axijax.dynamics import Forces, Params, PlatenDrive, Scene, State, all_forces, make_step, mass_per_cube, positions
+from axijax.membrane import Load, lateral_force
+from axijax.neighbors import Network
+from axijax.platens import wall_force
+from axijax.sector import plane_normals, radial_distance
+from axijax.vector import Vector
+
+
+class Ledger(NamedTuple):
+    """Energy moved since the ledger was opened; scalars [F L].
+
+    friction: lost to slip at the Coulomb limit, booked one half step late (see `energy_balance`).
+    damping: lost to dashpots, or to local or background damping.
+    platen_work, lateral_work: done on the balls by the platens and by the lateral load.
+    """
+
+    friction: jax.Array
+    damping: jax.Array
+    platen_work: jax.Array
+    lateral_work: jax.Array
+
+
+class EnergyBalance(NamedTuple):
+    """All terms half a step before a state's positions; scalars [F L].
+
+    translation, spin: kinetic energy of the balls.
+    normal_springs, shear_springs: elastic energy of the contacts, walls included.
+    friction, damping, platen_work, lateral_work: as in `Ledger`.
+    """
+
+    translation: jax.Array
+    spin: jax.Array
+    normal_springs: jax.Array
+    shear_springs: jax.Array
+    friction: jax.Array
+    damping: jax.Array
+    platen_work: jax.Array
+    lateral_work: jax.Array
+
+    @property
+    def stored(self) -> jax.Array:
+        """Kinetic and elastic energy [F L]."""
+        return self.translation + self.spin + self.normal_springs + self.shear_springs
+
+    @property
+    def unaccounted(self) -> jax.Array:
+        """What is stored and lost, less the work done [F L]; its change is the error of the integration."""
+        return self.stored + self.friction + self.damping - self.platen_work - self.lateral_work
+
+
+def open_ledger(dtype=jnp.float64) -> Ledger:
+    """A ledger with nothing in it."""
+    return Ledger(*(jnp.zeros((), dtype) for _ in Ledger._fields))
+
+
+def make_ledger_step(scene: Scene, drive: PlatenDrive):
+    """A pure function step(params, network, load, dt, (state, ledger)) -> (state, ledger).
+
+    The state is advanced by `axijax.dynamics.make_step`; the compiler finds its forces and the ledger's to be the same.
+    """
+    advance = make_step(scene, drive)
+
+    def step(params: Params, network: Network, load: Load, dt, both: tuple[State, Ledger]) -> tuple[State, Ledger]:
+        state, ledger = both
+        forces = all_forces(scene, params, network, load, dt, state)
+        after = advance(params, network, load, dt, state)
+        velocity = (state.velocity + after.velocity) * 0.5
+        spin = None if state.spin is None else (state.spin + after.spin) * 0.5
+        platen_speeds = 0.5 * (state.platen_speeds + after.platen_speeds)
+        if scene.damping == "dashpot":
+            lost = _dashpot_power(params, network, forces, state, velocity, spin, platen_speeds)
+        else:
+            lost = _drag_power(scene, params, network, forces, state, velocity, spin)
+        bottom, top = ((push * network.weight).sum() for push in forces.platen_push)
+        sideways = lateral_force(params.confining_stress, load, positions(network, state)).dot(velocity)
+        return after, Ledger(
+            friction=ledger.friction + _slip_work(params, network, forces, dt, state, both_ends=True),
+            damping=ledger.damping + dt * lost,
+            platen_work=ledger.platen_work + dt * (bottom * platen_speeds[0] - top * platen_speeds[1]),
+            lateral_work=ledger.lateral_work + dt * (sideways * network.weight).sum(),
+        )
+
+    return step
+
+
+def energy_balance(
+    scene: Scene, params: Params, network: Network, load: Load, dt, state: State, ledger: Ledger
+) -> EnergyBalance:
+    """All terms at t - dt/2 for a state at t; arguments as in `axijax.dynamics.all_forces`.
+
+    The slip of the step before t is known only from the forces at t, which are found here once more.
+    """
+    mass = mass_per_cube(params) * network.radius**3 * network.weight
+    spin = jnp.zeros_like(ledger.friction)
+    shear_springs = spin
+    friction = ledger.friction
+    if state.spin is not None:
+        spin = 0.5 * (0.4 * mass * network.radius**2 * state.spin.dot(state.spin)).sum()
+    if state.spring is not None:
+        forces = all_forces(scene, params, network, load, dt, state)
+        stretch = state.spring.dot(forces.contacts.spring)
+        shear_springs = 0.5 * (params.shear_stiffness * stretch * network.share).sum()
+        friction = friction + _slip_work(params, network, forces, dt, state, both_ends=False)
+    return EnergyBalance(
+        translation=0.5 * (mass * state.velocity.dot(state.velocity)).sum(),
+        spin=spin,
+        normal_springs=_normal_energy(params, network, dt, state),
+        shear_springs=shear_springs,
+        friction=friction,
+        damping=ledger.damping,
+        platen_work=ledger.platen_work,
+        lateral_work=ledger.lateral_work,
+    )
+
+
+def _normal_energy(params: Params, network: Network, dt, state: State):
+    """Energy of all normal springs at t - dt/2."""
+    earlier = state._replace(
+        displacement=state.displacement - state.velocity * dt, platens=state.platens - state.platen_speeds * dt
+    )
+
+    def closed(moment):
+        gaps = [gap for gap, _ in _walls(network, moment, moment.velocity, moment.platen_speeds)]
+        pressed = [jnp.maximum(-gap, 0.0) for gap in gaps]
+        return jnp.maximum(geometry(network, moment.displacement).overlap, 0.0), pressed
+
+    (contacts, walls), (contacts_before, walls_before) = closed(state), closed(earlier)
+    energy = 0.5 * (params.normal_stiffness * contacts * contacts_before * network.share).sum()
+    for now, before in zip(walls, walls_before, strict=True):
+        energy += 0.5 * (params.platen_stiffness * now * before * network.weight).sum()
+    return energy
+
+
+def _slip_work(params: Params, network: Network, forces: Forces, dt, state: State, *, both_ends: bool):
+    """Work of the shear springs in what the Coulomb cap has cut off them since t - dt: the mean of their forces at
+    t - dt and t times the slip; or, of the two halves of that mean, only the first."""
+    if state.spring is None:
+        return jnp.zeros_like(network.share).sum()
+    normal, relative = _relative_motion(network, state, state.velocity, state.spin)
+    along = normal * relative.dot(normal)
+    slip = state.spring + (relative - along) * dt - forces.contacts.spring
+    pull = state.spring + forces.contacts.spring if both_ends else state.spring
+    return 0.5 * (params.shear_stiffness * pull.dot(slip) * network.share).sum()
+
+
+def _relative_motion(network: Network, state: State, velocity: Vector, spin: Vector | None) -> tuple[Vector, Vector]:
+    """Normals of the contacts, and the velocity of the first ball's surface against the second's; (C,) vectors."""
+    apart = geometry(network, state.displacement).apart
+    normal = apart * (1 / jnp.sqrt(apart.dot(apart)))
+    relative = network.of_first(velocity) - network.of_second(velocity)
+    if spin is not None:
+        surface = spin * network.radius
+        relative = relative - (network.of_first(surface) + network.of_second(surface)).cross(normal)
+    return normal, relative
+
+
+def _dashpot_power(params, network, forces: Forces, state: State, velocity, spin, platen_speeds):
+    """Power that the dashpots take at these velocities: what the forces at t hold beside the springs."""
+    normal, relative = _relative_motion(network, state, velocity, spin)
+    pressed = jnp.maximum(geometry(network, state.displacement).overlap, 0.0)
+    elastic = normal * (params.normal_stiffness * pressed)
+    if forces.contacts.spring is not None:
+        elastic = elastic - forces.contacts.spring * params.shear_stiffness
+    power = ((elastic - forces.contacts.force).dot(relative) * network.share).sum()
+    viscosity = 2 * params.damping_ratio * jnp.sqrt(params.platen_stiffness * mass_per_cube(params) * network.radius**3)
+    before = _walls(network, state, state.velocity, state.platen_speeds)
+    for (gap, closing_before), (_, closing) in zip(
+        before, _walls(network, state, velocity, platen_speeds), strict=True
+    ):
+        push = wall_force(gap, closing_before, params.platen_stiffness, viscosity)
+        spring = wall_force(gap, closing_before, params.platen_stiffness, None)
+        power += ((push - spring) * closing * network.weight).sum()
+    return power
+
+
+def _drag_power(scene: Scene, params: Params, network: Network, forces: Forces, state: State, velocity, spin):
+    """Power that local or background damping takes at these velocities."""
+    mass = mass_per_cube(params) * network.radius**3
+    power = jnp.zeros_like(mass)
+    if scene.damping == "background":
+        power = params.background_damping * mass * velocity.dot(velocity)
+        if spin is not None:
+            power += params.background_damping * 0.4 * mass * network.radius**2 * spin.dot(spin)
+    if scene.damping == "local":
+        place = positions(network, state)
+        power = _local_drag(params, place, forces.resultant, state.velocity, velocity)
+        if spin is not None:
+            power += _local_drag(params, place, forces.moment, state.spin, spin)
+    return (power * network.weight).sum()
+
+
+def _local_drag(params: Params, place: Vector, force: Vector, motion_before: Vector, motion: Vector):
+    """Local damping's force, a |F| sign(v) in radial, circumferential and vertical components, times the motion."""
+    distance = radial_distance(place)
+    off_axis = jnp.where(distance > 0, distance, 1.0)
+    cos, sin = jnp.where(distance > 0, place.x / off_axis, 1.0), place.y / off_axis
+    force, motion_before, motion = (vector.turned(cos, -sin) for vector in (force, motion_before, motion))
+    drag = (jnp.abs(f) * jnp.sign(b) * m for f, b, m in zip(force, motion_before, motion, strict=True))
+    return params.local_damping * sum(drag)
+
+
+def _walls(network: Network, state: State, velocity: Vector, platen_speeds) -> Iterator[tuple[jax.Array, jax.Array]]:
+    """Gap [L] and closing speed [L/T] of every ball at every wall: two platens, two rigid sector planes; (N,) each."""
+    place = positions(network, state)
+    yield place.z - state.platens[0] - network.radius, platen_speeds[0] - velocity.z
+    yield state.platens[1] - place.z - network.radius, velocity.z - platen_speeds[1]
+    if network.sector.boundary == "rigid":
+        for inward_x, inward_y in plane_normals(network.sector):
+            gap = inward_x * place.x + inward_y * place.y - network.radius
+            yield gap, -(inward_x * velocity.x + inward_y * velocity.y)

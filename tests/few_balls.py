@@ -1,0 +1,91 @@
+"""Scenes of a few balls for the tests: built from plain arrays, run with still platens, recorded.
+
+A flat frictional plane is a ball of radius PLANE, whose mass keeps it at rest; gravity is a constant lateral load, so it
+and the plane's normal lie in x, y. Units here: ball radius, mass and normal stiffness 1.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from axijax.dynamics import Params, Scene, State, initial_state, make_step
+from axijax.membrane import Load
+from axijax.neighbors import Network, build_network
+from axijax.packing import Specimen
+from axijax.sector import Sector
+from axijax.vector import from_rows
+
+PLANE = 1e6
+UNIT_MASS = 3 / (4 * np.pi)  # density at which a ball of radius 1 has mass 1
+FAR = (-1e8, 1e8)
+
+# Many small programs that run briefly: not worth optimising.
+jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+
+
+def unit_params(**changes) -> Params:
+    """Unit mass and normal stiffness, ks/kn = 0.8, friction 0.3, no damping, confining stress 1."""
+    given = {
+        "friction": 0.3,
+        "normal_stiffness": 1.0,
+        "shear_stiffness": 0.8,
+        "confining_stress": 1.0,
+        "density": UNIT_MASS,
+        "damping_ratio": 0.0,
+        "local_damping": 0.0,
+        "background_damping": 0.0,
+    }
+    return Params(**(given | changes))
+
+
+def few_balls(scene: Scene, positions, velocity, spin=None, radius=1.0, platens=FAR, **options) -> tuple[Network, State]:
+    """Contact list and first state of balls at positions (3, N) with velocities and spins (3, N), without a sector."""
+    positions = np.asarray(positions, float)
+    count = positions.shape[1]
+    specimen = Specimen(positions, np.broadcast_to(radius, (count,)), *platens, np.ones(count, bool))
+    options.setdefault("skin", 1.0)
+    network = build_network(specimen, Sector(1), **options)
+    state = initial_state(network, scene, jnp.asarray(platens))._replace(velocity=from_rows(np.asarray(velocity, float)))
+    if scene.spins and spin is not None:
+        state = state._replace(spin=from_rows(np.asarray(spin, float)))
+    return network, state
+
+
+def constant_load(forces) -> Load:
+    """Forces (2, N) along x, y on the balls, for a confining stress of 1."""
+    return Load(-jnp.asarray(forces, float), jnp.ones(()))
+
+
+def no_load(network: Network) -> Load:
+    return Load(jnp.zeros(network.radius.size), jnp.ones(()))
+
+
+def still(params, state, dt, push, section):
+    """Platens that do not move."""
+    return jnp.zeros(2)
+
+
+@partial(jit, static_argnums=0)
+def run(scene: Scene, params: Params, network: Network, load: Load, dt, steps, state: State) -> State:
+    """The state after so many steps."""
+    step = make_step(scene, still)
+    return jax.lax.fori_loop(0, steps, lambda _, s: step(params, network, load, dt, s), state)
+
+
+@partial(jit, static_argnums=(0, 6))
+def record(scene: Scene, params: Params, network: Network, load: Load, dt, state: State, steps: int) -> State:
+    """All states, the first one included; every array has the steps + 1 moments in front."""
+    step = make_step(scene, still)
+
+    def one(state, _):
+        return step(params, network, load, dt, state), state
+
+    last, states = jax.lax.scan(one, state, None, length=steps)
+    return jax.tree.map(lambda some, end: jnp.concatenate([some, end[None]]), states, last)
+
+
+def order_of(steps, errors) -> float:
+    """Slope of log error over log step."""
+    return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])

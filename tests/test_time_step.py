@@ -1,0 +1,216 @@
+"""The critical time step against lattice dynamics and against the step itself, and what is refused."""
+
+from dataclasses import replace
+from functools import lru_cache, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+
+from axijax import theory
+from axijax.dynamics import SAFE_STEP, Params, Scene, critical_time_step, initial_state, make_step, positions
+from axijax.membrane import Load, membrane_load
+from axijax.neighbors import build_network
+from axijax.packing import Specimen, cut_to_sector, fcc_octagon
+from axijax.sector import Sector
+from axijax.triaxial import TriaxialTest
+from axijax.vector import Vector
+
+RADIUS, STIFFNESS, DENSITY = 20.0, 1.5e9, 2000.0
+MASS = 4 / 3 * np.pi * RADIUS**3 * DENSITY
+UNIT = (MASS / STIFFNESS) ** 0.5  # sqrt(m/K)
+QUARTER, FULL, RIGID = Sector(4), Sector(1), Sector(4, "rigid")
+UNDAMPED = Scene(damping="none")
+
+
+@lru_cache
+def octagon_network(sector, layers=25, half_width=9):
+    return build_network(cut_to_sector(fcc_octagon(RADIUS, layers, half_width), sector), sector)
+
+
+def limit(network, scene=UNDAMPED, **params):
+    """Critical time step over sqrt(m/K)."""
+    return critical_time_step(scene, Params(**params), network) / UNIT
+
+
+def loose(points, **options):
+    """Network of balls at points (3, N) [L] in the full cylinder; a platen far off touches two others."""
+    points = np.concatenate([points, [[0, 0], [0, 0], [-500, 500]]], 1)
+    zone = np.ones(points.shape[1], bool)
+    return build_network(Specimen(points, RADIUS, -520.0, 520.0, zone), FULL, **options)
+
+
+def cubic_block(lattice, size):
+    """size^3 cells of a simple or a body-centred cubic lattice of touching balls."""
+    edge = 2 * RADIUS * (1.0 if lattice == "sc" else 2 / 3**0.5)
+    grid = np.stack(np.meshgrid(*[np.arange(size)] * 3, indexing="ij")).reshape(3, -1).astype(float)
+    points = grid if lattice == "sc" else np.concatenate([grid, grid + 0.5], 1)
+    skin = 0.1 * RADIUS
+    return loose(edge * (points - (size - 1) / 2), skin=skin)
+
+
+def test_the_octagon_undamped():
+    """PHYSICS 3.5: 0.3197 sqrt(m/K) by an independent program, just above the lattice's 0.3162."""
+    lattice = theory.lattice_critical_time_step("fcc", MASS, STIFFNESS, STIFFNESS)
+    assert float(lattice) / UNIT == pytest.approx(0.1**0.5, rel=1e-12)
+    full = limit(octagon_network(FULL))
+    assert full == pytest.approx(0.3197, abs=5e-5)
+    assert full > 0.1**0.5
+
+
+def test_the_quarter_has_the_modes_of_the_full_cylinder_that_it_can_have():
+    """Those alike in every sector: no faster than the fastest of all, and here hardly slower."""
+    assert limit(octagon_network(FULL)) <= limit(octagon_network(QUARTER)) < 0.3201
+
+
+def test_without_rotation():
+    assert 0.5 < limit(octagon_network(QUARTER), Scene(rotation=False, damping="none")) < 0.5 * 1.005
+
+
+def test_without_friction_nothing_but_the_normal_springs_counts():
+    """FCC's translation mode sqrt(8 kn/m): 2 / sqrt(8)."""
+    assert 0.5**0.5 < limit(octagon_network(QUARTER), Scene(friction=False, damping="none")) < 0.5**0.5 * 1.02
+
+
+def test_one_pair():
+    """Two balls rolling against each other, omega^2 = 7 ks/m: 2/sqrt(7) sqrt(m/K)."""
+    pair = loose(np.array([[-RADIUS, RADIUS], [0, 0], [0, 0]]))
+    assert limit(pair) == pytest.approx(2 / 7**0.5, rel=1e-9)
+    assert pytest.approx(0.756, abs=5e-4) == 2 / 7**0.5
+    assert limit(pair, normal_stiffness=9 * STIFFNESS) == pytest.approx(2 / 18**0.5, rel=1e-9), "now the normal mode"
+
+
+@pytest.mark.parametrize(("lattice", "known"), [("bcc", 0.3873), ("sc", 0.4472)])
+def test_other_cubic_lattices(lattice, known):
+    """From above, and closer the larger the block: its surface has fewer contacts."""
+    expected = float(theory.lattice_critical_time_step(lattice, MASS, STIFFNESS, STIFFNESS)) / UNIT
+    assert expected == pytest.approx(known, abs=5e-5)
+    small, large = (limit(cubic_block(lattice, size)) / expected - 1 for size in (4, 9))
+    assert 0 < large < 0.03 and large < 0.35 * small
+
+
+@pytest.mark.parametrize("damping_ratio", [0.0, 0.05, 0.1, 0.3])
+@pytest.mark.parametrize("stiffness_ratio", [1.0, 0.8, 0.5, 2 / 7, 0.25, 0.2, 0.15, 0.1])
+def test_stiffness_ratio_and_dashpots(stiffness_ratio, damping_ratio):
+    """Against the lattice's two modes. Around ks/kn = 0.2 dashpots make the spin mode the worst although it is not
+    the fastest: there 2/omega (sqrt(1 + xi^2) - xi) of the fastest mode alone is up to 46 % too long."""
+    expected = theory.lattice_critical_time_step("fcc", MASS, STIFFNESS, stiffness_ratio * STIFFNESS, damping_ratio)
+    found = limit(
+        octagon_network(QUARTER), Scene(), shear_stiffness=stiffness_ratio * STIFFNESS, damping_ratio=damping_ratio
+    )
+    assert 1 < found / (float(expected) / UNIT) < 1.035
+
+
+@pytest.mark.parametrize(("damping_ratio", "known"), [(0.05, 0.25), (0.1, 0.21), (0.3, 0.105)])
+def test_dashpots_lower_the_limit(damping_ratio, known):
+    """The lattice's values of PHYSICS 3.5, given to two or three figures; the octagon is 2 % above at most."""
+    assert limit(octagon_network(QUARTER), Scene(), damping_ratio=damping_ratio) == pytest.approx(known, rel=0.03)
+
+
+# Scenes whose step is linearised: sector, scene, and what of the parameters differs from the paper's.
+LINEARISED = {
+    "undamped": (QUARTER, Scene(), {"damping_ratio": 0.0}),
+    "dashpots": (QUARTER, Scene(), {"damping_ratio": 0.1}),
+    "strong dashpots": (QUARTER, Scene(), {"damping_ratio": 0.3}),
+    "full cylinder": (FULL, Scene(), {"damping_ratio": 0.05}),
+    "rigid planes": (RIGID, Scene(), {"damping_ratio": 0.1}),
+    "no rotation": (QUARTER, Scene(rotation=False), {"damping_ratio": 0.1}),
+    "soft shear": (QUARTER, Scene(), {"damping_ratio": 0.3, "shear_stiffness": 0.2 * STIFFNESS}),
+    "stiff shear": (QUARTER, Scene(), {"damping_ratio": 0.05, "shear_stiffness": 3 * STIFFNESS}),
+}
+
+
+def still(params, state, dt, push, section):
+    """A drive that holds the platens."""
+    return jnp.zeros(2, push.dtype)
+
+
+def squeezed(sector, scene, layers=5):
+    """Network and state of a small octagon with every contact closed and nothing near the Coulomb limit."""
+    network = octagon_network(sector, layers, 3)
+    place = positions(network, initial_state(network, scene, jnp.zeros(2)))
+    platens = jnp.array([0.0, RADIUS * (2 + (layers - 1) * 2**0.5)])
+    state = initial_state(network, scene, platens)
+    middle = platens.mean()
+    shrink = Vector(place.x, place.y, place.z - middle) * -1e-6
+    return network, state._replace(displacement=shrink, platens=middle + (platens - middle) * (1 - 2e-6))
+
+
+@lru_cache
+def linearised_step(sector, scene):
+    """Function (params, dt) -> the matrix that one step multiplies a small disturbance of a squeezed specimen with."""
+    network, state = squeezed(sector, scene)
+    balls = jnp.zeros(network.radius.shape)
+    step = make_step(scene, still)
+    flat, shape = ravel_pytree((state.displacement, state.velocity, state.spin, state.spring))
+
+    @jax.jit
+    def matrix(params, dt):
+        def one_step(moved):
+            displacement, velocity, spin, spring = shape(moved)
+            before = state._replace(displacement=displacement, velocity=velocity, spin=spin, spring=spring)
+            after = step(params, network, Load(balls, jnp.ones(())), dt, before)
+            return ravel_pytree((after.displacement, after.velocity, after.spin, after.spring))[0]
+
+        return jax.jacfwd(one_step)(flat)
+
+    return network, matrix
+
+
+@pytest.mark.parametrize("case", LINEARISED)
+def test_the_step_itself_amplifies_just_above_the_limit_and_not_below(case):
+    """The largest eigenvalue of the linearised `make_step`, an independent way to the same limit."""
+    sector, scene, changes = LINEARISED[case]
+    params = Params(friction=1e6, **changes)
+    network, matrix = linearised_step(sector, scene)
+    critical = critical_time_step(scene, params, network)
+
+    def growth(dt):
+        return np.abs(np.linalg.eigvals(np.asarray(matrix(params, dt)))).max()
+
+    # A frequency 1 % above what a step resolves grows by 2 % a step at least; the squeeze itself changes 1e-3.
+    assert growth(0.995 * critical) < 1.005
+    assert growth(1.01 * critical) > 1.015
+
+
+def test_a_disturbance_blows_up_above_the_limit_and_not_below():
+    """A confined block whose contacts always stick, against the same block disturbed by 1e-14 of a radius per step."""
+    undamped = Params(friction=1e6, damping_ratio=0.0)
+    test = TriaxialTest(fcc_octagon(layers=3, half_width=3), params=undamped)
+    confined, _ = test.confine()
+    network, scene = test.network, test.scene
+    start = initial_state(network, scene, confined.platens)._replace(displacement=confined.displacement)
+    load = membrane_load(test.membrane, positions(network, start), *start.platens)
+    noise = np.random.default_rng(1).standard_normal((3, network.radius.size)) * np.asarray(network.free)
+    step = make_step(scene, still)
+
+    @jax.jit
+    def run(params, dt, size):
+        state = start._replace(velocity=Vector(*(jnp.asarray(row) * size / dt for row in noise)))
+        advance = partial(step, params, network, load, dt)
+        return jax.lax.scan(lambda s, _: (advance(s), None), state, None, length=400)[0]
+
+    for params in (undamped, replace(undamped, damping_ratio=0.1)):
+        critical = critical_time_step(scene, params, network)
+        spread = []
+        for dt in (0.98 * critical, 1.02 * critical):
+            calm, disturbed = run(params, dt, 0.0), run(params, dt, 1e-14 * RADIUS)
+            spread.append(float(jnp.abs(disturbed.spin.x - calm.spin.x).max()) * dt / 1e-14)
+        assert spread[0] < 100
+        assert not spread[1] < 1e10
+
+
+@pytest.mark.parametrize("damping", ["dashpot", "local", "none"])
+def test_a_step_above_the_safe_one_is_refused_with_the_limit(damping):
+    specimen, scene = fcc_octagon(layers=3, half_width=3), Scene(damping=damping)
+    default = TriaxialTest(specimen, scene=scene)
+    critical = critical_time_step(scene, default.params, default.network)
+    assert default.time_step < SAFE_STEP * critical
+    accepted = replace(default, time_step=0.999 * SAFE_STEP * critical)
+    assert accepted.time_step == 0.999 * SAFE_STEP * critical
+    with pytest.raises(ValueError) as caught:
+        replace(default, time_step=1.001 * SAFE_STEP * critical)
+    for number in (1.001 * SAFE_STEP * critical, SAFE_STEP * critical, critical):
+        assert f"{number:.4g}" in str(caught.value)

@@ -1,0 +1,70 @@
+"""Quarter, half and full cylinder are one trajectory, by symmetry, until an instability breaks it."""
+
+import jax
+import numpy as np
+import pytest
+
+from axijax import Sector, TriaxialTest, fcc_octagon, raise_for_status
+from axijax.dynamics import initial_state, make_step, positions
+from axijax.membrane import membrane_load
+from axijax.packing import cut_to_sector
+from axijax.triaxial import _ramp
+
+ORDERS = (1, 2, 4)
+
+
+@pytest.fixture(scope="module")
+def tests():
+    """The paper's specimen with one time step for all orders, so that records fall on the same strains."""
+    step = TriaxialTest(fcc_octagon(), Sector(1)).time_step
+    return {n: TriaxialTest(fcc_octagon(), Sector(n), axial_strain=0.004, time_step=step) for n in ORDERS}
+
+
+@pytest.mark.slow
+def test_peaks_and_curves_agree_each_from_its_own_confinement(tests):
+    curves = {n: test.simulate(test.params) for n, test in tests.items()}
+    for curve in curves.values():
+        raise_for_status(curve.status)
+    full = curves[1]
+    for n in (2, 4):
+        assert float(abs(np.max(curves[n].stress_ratio) - np.max(full.stress_ratio))) < 5e-5
+        other = np.interp(full.axial_strain, curves[n].axial_strain, curves[n].stress_ratio)
+        assert np.abs(other - full.stress_ratio).max() < 2e-4
+
+
+@pytest.mark.slow
+def test_positions_agree_from_one_symmetric_state(tests):
+    """200 steps from the same state: the confined quarter, turned into the half and the full cylinder."""
+    quarter = tests[4]
+    confined, _ = quarter.confine()
+    moved = {}
+    for n, test in tests.items():
+        full = cut_to_sector(fcc_octagon(), Sector(n))
+        image, ball = _which(quarter, full.positions)
+        displacement = Sector(4).rotate(np.asarray(confined.displacement)[:, ball], image)
+        state = initial_state(test.network, test.scene, confined.platens)
+        state = state._replace(displacement=type(state.displacement)(*displacement))
+        step = make_step(test.scene, _ramp(test.ramp_time))
+        load = membrane_load(test.membrane, positions(test.network, state), *state.platens)
+
+        def advance(s, step=step, test=test, load=load):
+            body = lambda s, _: (step(test.params, test.network, load, test.time_step, s), None)  # noqa: E731
+            return jax.lax.scan(body, s, None, length=200)[0]
+
+        moved[n] = np.asarray(positions(test.network, jax.jit(advance)(state))), image, ball
+    reference = moved[4][0]
+    for n in (1, 2):
+        place, image, ball = moved[n]
+        expected = Sector(4).rotate(reference[:, ball], image)
+        assert np.abs(place - expected).max() < 1e-9 * 20
+
+
+def _which(quarter, places):
+    """For each place, the ball of the quarter and the image of it that is there."""
+    from scipy.spatial import cKDTree
+
+    count = len(quarter.cut)
+    copies = [quarter.sector.rotate(quarter.cut.positions, k) for k in range(4)]
+    distance, column = cKDTree(np.concatenate(copies, axis=1).T).query(places.T)
+    assert distance.max() < 1e-9
+    return column // count, column % count

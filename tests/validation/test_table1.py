@@ -1,0 +1,79 @@
+"""Table 1 of Cui & O'Sullivan (2005) against the paper, Thornton's formula and an independent program."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from axijax import Sector, TriaxialTest, fcc_octagon, raise_for_status
+
+# friction: peak in the paper, peak found by an independent program with the same membrane
+PERIODIC = {0.05: (2.09, 2.099), 0.12278: (2.46, 2.466), 0.2: (2.92, 2.911), 0.3: (3.64, 3.602)}
+RIGID = {0.12278: (2.01, 2.03), 0.3: (2.91, 2.92)}
+
+
+def theory(friction):
+    return 2 * (1 + friction) / (1 - friction)
+
+
+def run(test, friction):
+    curve = test.simulate(replace(test.params, friction=friction))
+    raise_for_status(curve.status)
+    return curve
+
+
+@pytest.fixture(scope="module")
+def quarter():
+    return TriaxialTest(fcc_octagon(), Sector(4), axial_strain=0.006)
+
+
+@pytest.fixture(scope="module")
+def rigid():
+    return TriaxialTest(fcc_octagon(), Sector(4, "rigid"), axial_strain=0.008)
+
+
+def test_the_specimen_is_the_papers():
+    specimen = fcc_octagon()
+    assert len(specimen) == 1672
+    assert specimen.membrane_zone.sum() == 12 * 44 + 24
+    assert specimen.height == pytest.approx((24 * np.sqrt(2) + 2) * 20)
+
+
+def test_the_quarter_has_the_right_balls(quarter):
+    cut = quarter.cut
+    assert len(cut) == 427
+    assert cut.membrane_zone.sum() == 138
+    assert (np.hypot(*cut.positions[:2]) < 1e-6).sum() == 12
+
+
+@pytest.mark.parametrize("friction", PERIODIC)
+def test_periodic_rows(quarter, friction):
+    paper, independent = PERIODIC[friction]
+    curve = run(quarter, friction)
+    place = int(np.argmax(curve.stress_ratio))
+    assert float(curve.stress_ratio[place]) == pytest.approx(paper, rel=0.015)
+    assert float(curve.stress_ratio[place]) == pytest.approx(independent, rel=2e-3)
+    assert float(np.max(curve.core_ratio)) == pytest.approx(theory(friction), rel=0.010)
+    assert 0.0030 <= float(curve.axial_strain[place]) <= 0.0075
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("friction", RIGID)
+def test_rigid_rows(rigid, friction):
+    """Rigid frictionless planes lose 15 to 25 % of the theoretical strength."""
+    low, high = RIGID[friction]
+    peak = float(np.max(run(rigid, friction).stress_ratio))
+    assert 0.75 * theory(friction) < peak < 0.85 * theory(friction)
+    assert low * 0.995 < peak < high * 1.005
+
+
+def test_confinement_is_isotropic_and_elastic(quarter):
+    """Just after confinement: s1 = s3 by platens and by membrane, no sliding; then the lattice's Young's modulus.
+
+    A close packing with kn = ks has E = sqrt(2) K / r; the octagon's boundary softens it a little.
+    """
+    curve = run(quarter, 0.3)
+    assert float(curve.stress_ratio[0]) == pytest.approx(1.0, abs=1e-6)
+    early = np.asarray(curve.axial_strain) < 2e-4
+    slope = np.polyfit(np.asarray(curve.axial_strain)[early], np.asarray(curve.stress_ratio)[early], 1)[0]
+    assert 0.1 * np.sqrt(2) * 1.5e9 / 20 / 5e4 < slope < np.sqrt(2) * 1.5e9 / 20 / 5e4
