@@ -185,7 +185,7 @@ class TriaxialTest:
             "time_step": float(step),
             "ramp_time": float(ramp),
             "protocol": Protocol(
-                blocks=int(np.ceil(duration / step / self.record_every)),
+                blocks=int(np.ceil(duration / step / self.record_every)) + 1,  # a record at the start and at the end
                 block_steps=self.record_every,
                 refresh=self.refresh,
                 confine_steps=self.confine_steps,

@@ -23,7 +23,7 @@ from calibrate.start import corrected_by_run, start_by_rule
 Jacobian = Literal["economical", "tangent", "difference"]
 DIFFERENCE_STEP = 1e-4  # of the coordinates, for jacobian="difference"
 GOOD_PROGRESS = 0.3  # tangents are kept while the misfit that they can explain falls below this share of what it was
-RULE_RUNS, RULE_MOVE = 4, 0.8  # most runs by the rule; the move of a coordinate after which tangents take over
+RULE_RUNS, RULE_MOVE = 4, 0.3  # most runs by the rule; the move of a coordinate after which tangents take over
 
 
 class _Stop(Exception):  # noqa: N818 - no error: how a search ends inside scipy

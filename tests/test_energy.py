@@ -20,14 +20,21 @@ from axijax.triaxial import TriaxialTest, _load, _ramp, _start_shear
 from axijax.vector import from_rows
 
 
+balance_of = jit(energy_balance, static_argnums=0)
+
+
 @partial(jit, static_argnums=(0, 1))
-def balances(scene, drive, params, network, load, dt, steps, state):
-    """State, first and last balance."""
+def advanced(scene, drive, params, network, load, dt, steps, both):
     step = make_ledger_step(scene, drive)
-    both = state, open_ledger()
-    start = energy_balance(scene, params, network, load, dt, *both)
-    both = jax.lax.fori_loop(0, steps, lambda _, b: step(params, network, load, dt, b), both)
-    return both[0], start, energy_balance(scene, params, network, load, dt, *both)
+    return jax.lax.fori_loop(0, steps, lambda _, b: step(params, network, load, dt, b), both)
+
+
+def balances(scene, drive, params, network, load, dt, steps, state):
+    """Last state, first and last balance."""
+    start = state, open_ledger()
+    end = advanced(scene, drive, params, network, load, dt, steps, start)
+    first, last = (balance_of(scene, params, network, load, dt, *both) for both in (start, end))
+    return end[0], first, last
 
 
 def spent(start: EnergyBalance, end: EnergyBalance) -> EnergyBalance:
@@ -145,7 +152,7 @@ def lively(specimen, sector, scene, seed=0):
 LIVELY = {"confining_stress": 0.02, "damping_ratio": 0.1, "local_damping": 0.3, "background_damping": 0.05, "platen_speed": 0.003}
 
 
-@pytest.mark.parametrize("damping", ["dashpot", "local", "background"])
+@pytest.mark.parametrize("damping", ["dashpot", "local"])
 def test_a_sectors_terms_are_its_share_of_the_full_cylinders(damping):
     """Balls on the axis, contacts across the planes and with own images: each counts as much as belongs to the sector."""
     scene, params = Scene(damping=damping), unit_params(**LIVELY)
@@ -178,7 +185,6 @@ def test_balance_error_of_violent_motion_falls_with_the_step(boundary, damping):
         change = spent(start, end)
         errors.append(abs(change.unaccounted) / max(map(abs, change)))
         assert change.friction > 0
-    print(boundary, damping, errors, order_of(steps, errors))
     assert errors[-1] < 1e-3
     assert order_of(steps, errors) > 0.8
 
@@ -200,7 +206,6 @@ def test_order_of_the_balance_error_of_a_glancing_impact(friction):
             assert float(end.normal_springs) == 0, "they have parted"
             worst = max(worst, abs(spent(start, end).unaccounted))
         errors.append(worst)
-    print(friction, errors, order_of(steps, errors))
     order = order_of(steps, errors)
     assert order > 0.9 if friction else order == pytest.approx(2.0, abs=0.2)
 
@@ -252,7 +257,6 @@ def test_whole_test_closes_to_a_millionth_of_the_platen_work(friction):
         assert (error[1:] < 1e-6 * seen.platen_work[1:]).all(), "at every moment of the test"
         assert seen.friction[-1] > 0.1 * seen.platen_work[-1]
         assert seen.damping[-1] < 0.01 * seen.platen_work[-1]
-    print(friction, errors, order_of([1, 0.5, 0.25], errors))
     assert order_of([1, 0.5, 0.25], errors) > 0.8
 
 

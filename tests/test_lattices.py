@@ -12,14 +12,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from few_balls import jit, no_load, run, still, unit_params
+from few_balls import jit, no_load, run, unit_params
 
 from axijax.contact import Law, contact_forces, geometry
-from axijax.dynamics import Params, Scene, all_forces, initial_state, make_step, positions
-from axijax.membrane import Load
+from axijax.dynamics import Scene, all_forces, initial_state, positions
+from axijax.membrane import membrane_load
 from axijax.neighbors import Network, build_network
 from axijax.packing import Specimen, cut_to_sector, fcc_cylinder, fcc_octagon, lattice_cylinder
-from axijax.sector import Sector
+from axijax.sector import Sector, radial_distance
 from axijax.theory import (
     TAN_ANGLE_BCC,
     TAN_ANGLE_FCC,
@@ -291,3 +291,120 @@ def way(law, piece, first, axial_strain, sideways=1.0) -> Way:
     found = Way(*(np.asarray(a) for a in _way(law, piece, first, axial, sideways)))
     assert np.abs(found.off).max() < 1e-6, "the confining stress is held"
     return found
+
+
+def isotropic(lattice):
+    """Stretches at which the lattice carries CONFINING on all sides."""
+    force = CONFINING * 6 * VOLUME[lattice] / (2 * NEIGHBOURS[lattice])
+    return np.full(3, 1 - force / 2)
+
+
+@pytest.mark.parametrize("friction, ratio", [(0.12278, 1.0), (0.3, 1.0), (0.3, 0.6)])
+def test_fcc_before_the_peak(friction, ratio):
+    """Three straight lines: slope E/s3; after the first slip at R = (1+f)/(1-f) the slope falls by (1+f)/(3-f) (for
+    ks = kn); at the strain where the horizontal contacts open the peak 2(1+f)/(1-f) is reached."""
+    opening = float(fcc_horizontal_opening_strain(friction, CONFINING, 1.0, 1.0))
+    strain = np.linspace(0, 1.2 * opening, 301)
+    found = way(Law(1.0, ratio, friction, None, None), block("fcc"), isotropic("fcc"), strain)
+    R = found.stress[:, 2] / found.stress[:, 0]
+    slip, drop = (float(value) for value in fcc_first_slip(friction, ratio))
+    slope = float(fcc_youngs_modulus(1.0, ratio, 1.0)) / CONFINING
+    peak = float(fcc_stress_ratio(friction))
+    assert R[0] == pytest.approx(1.0, abs=1e-5)
+
+    def line(low, high):
+        part = (low < R) & (high > R) & (strain < opening)
+        assert part.sum() > 10
+        fitted = np.polyfit(strain[part], R[part], 1)
+        np.testing.assert_allclose(np.polyval(fitted, strain[part]), R[part], rtol=2e-5)
+        return fitted
+
+    sticking = line(1.0, slip - 0.02)
+    sliding = line(slip + 0.02, peak - 0.02)
+    assert sticking[0] == pytest.approx(slope, rel=1e-4)
+    assert sliding[0] / sticking[0] == pytest.approx(drop, rel=1e-4)
+    meeting = (sliding[1] - sticking[1]) / (sticking[0] - sliding[0])
+    assert np.polyval(sticking, meeting) == pytest.approx(slip, rel=1e-4)
+    assert (peak - sliding[1]) / sliding[0] == pytest.approx(opening, rel=1e-4)
+    np.testing.assert_allclose(R[strain > 1.02 * opening], peak, rtol=5e-5)
+
+
+STRENGTHS = [("fcc", TAN_ANGLE_FCC, f) for f in (0.0, 0.05, 0.12278, 0.3)]
+STRENGTHS += [("bcc", TAN_ANGLE_BCC, f) for f in (0.0, 0.05, 0.12278, 0.3)]
+STRENGTHS += [("hcp", TAN_ANGLE_HCP, f) for f in (0.0, 0.12278, 0.3)]
+
+
+@pytest.mark.parametrize("lattice, tan_angle, friction", STRENGTHS)
+def test_strength_and_softening_of_inclined_contacts(lattice, tan_angle, friction):
+    """R = 2 (1+f t)/(t (t-f)) at the peak (frictionless FCC, BCC, HCP: 2, 1, 4) and all the way down, t following the
+    strain to 2 %; dilatancy 2/t^2; softening rate at the peak, FCC -2 - 2/cos(2 phi)."""
+    strain = np.concatenate([np.linspace(0, 1e-4, 100), np.linspace(1.1e-4, 0.02, 100)])
+    found = way(Law(1.0, 1.0, friction, None, None), block(lattice), isotropic(lattice), strain)
+    R = found.stress[:, 2] / found.stress[:, 0]
+    np.testing.assert_allclose(found.stress[:, 1], found.stress[:, 0], rtol=1e-6)
+    moving = slice(60, None)
+    angle = contact_angle(jnp.asarray(strain), tan_angle)
+    expected = np.asarray(inclined_contact_stress_ratio(jnp.tan(angle), friction))
+    np.testing.assert_allclose(R[moving], expected[moving], rtol=5e-5)
+    peak = float(inclined_contact_stress_ratio(tan_angle, friction))
+    assert R.max() == pytest.approx(peak, rel=5e-5) or lattice == "bcc"
+    if friction == 0:
+        assert R[60] == pytest.approx({"fcc": 2.0, "bcc": 1.0, "hcp": 4.0}[lattice], rel=5e-4)
+    late = slice(100, None)
+    rate = np.gradient(np.log(R[late]), strain[late])
+    middle = 0.5 * (strain[100] + strain[-1])
+    slope = np.polyval(np.polyfit(strain[late][1:-1], rate[1:-1], 2), [0.0, middle])
+    np.testing.assert_allclose(
+        slope, [float(post_peak_softening_rate(friction, e, tan_angle)) for e in (0.0, middle)], rtol=2e-3
+    )
+    if lattice == "fcc":
+        assert slope[0] == pytest.approx(-2 - 2 / np.cos(2 * np.arctan(friction)), rel=2e-3)
+    logs = -np.log(found.stretch[late])
+    shrinking = np.gradient(logs.sum(axis=1), logs[:, 2])
+    np.testing.assert_allclose(1 - shrinking[1:-1], dilatancy(np.tan(angle[late]))[1:-1], rtol=2e-3)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.12278, 0.3])
+@pytest.mark.parametrize("rate_y", [0.0, 0.4, 1.0])
+def test_fcc_in_a_general_stress_state(friction, rate_y):
+    """Extension rates (2, 2b, -(1+b)); b = 0 is plane strain, at f = 0.3 s_zz/s_xx = 4.8812 and s_yy/s_xx = 1.9604. The
+    horizontal contacts are open from the start, or those along y would keep what they carried."""
+    force, gap = 2**0.5 * CONFINING, 2e-6
+    first = 1 + np.array([gap, gap, -(force + gap)])
+    strain = np.linspace(0, 3e-5, 200)
+    found = way(Law(1.0, 1.0, friction, None, None), block("fcc"), first, strain, rate_y)
+    stress = found.stress[-1] / found.stress[-1, 0]
+    expected = np.asarray(fcc_general_stress(friction, 1.0, rate_y))
+    np.testing.assert_allclose(stress, expected / expected[0], rtol=3e-4)
+    if rate_y == 0:
+        np.testing.assert_allclose(stress[[2, 1]], fcc_plane_strain_ratios(friction), rtol=3e-4)
+        if friction == 0.3:
+            np.testing.assert_allclose(stress[[2, 1]], [4.8812, 1.9604], rtol=3e-4)
+
+
+# A whole specimen in balance.
+
+
+@pytest.mark.parametrize("order", [pytest.param(1, marks=pytest.mark.slow), 4])
+def test_forces_on_platens_and_membrane_are_the_contacts_stress(order):
+    """Virial theorem on a confined octagon: the contacts' f_z l_z add up to platen force times the end balls' distance,
+    their horizontal part to the sum of membrane force times radius, in a sector as in the whole."""
+    test = TriaxialTest(fcc_octagon(layers=5, half_width=5), Sector(order), tolerance=1e-8)
+    state, balance = test.confine()
+    network, params = test.network, test.params
+    scene = Scene(rotation=False, friction=False, damping="none")
+    still_state = state._replace(velocity=zeros(network.radius.shape, network.dtype))
+    load = membrane_load(test.membrane, positions(network, state), *state.platens)
+    forces = forces_on(scene, params, network, load, test.time_step, still_state)
+    branch, force = geometry(network, state.displacement).apart, forces.contacts.force
+    place = positions(network, state)
+    vertical = float((network.share * force.z * branch.z).sum())
+    horizontal = float((network.share * (force.x * branch.x + force.y * branch.y)).sum())
+    weight = np.asarray(network.weight)
+    bottom, top = (np.asarray(push) * weight for push in forces.platen_push)
+    assert bottom.sum() == pytest.approx(top.sum(), rel=1e-6)
+    z = np.asarray(place.z)
+    assert vertical == pytest.approx((top * z).sum() - (bottom * z).sum(), rel=1e-6)
+    radial = float((radial_distance(place) * load.lateral).sum()) * params.confining_stress
+    assert horizontal == pytest.approx(radial, rel=1e-6)
+    assert top.sum() == pytest.approx(params.confining_stress * float(load.section), rel=1e-6)
