@@ -1,4 +1,4 @@
-"""The command line: `axijax table1`. Heavy imports happen inside the commands, so that --help is quick."""
+"""The command line: `axijax table1`, `axijax run`, `axijax calibrate`. Heavy imports happen inside the commands, so that --help is quick."""
 
 import sys
 from pathlib import Path
@@ -69,6 +69,61 @@ def table1(
         f"Confined to an unbalanced force of {max(float(c.unbalanced_force) for c in confined):.1e} and a stress error "
         f"of {max(float(c.stress_error) for c in confined):.1e} at most, in {max(int(c.steps) for c in confined)} steps "
         f"at most; {time.perf_counter() - started:.1f} s in all.",
+        highlight=False,
+    )
+    console.print("Written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
+
+
+@app.command()
+def calibrate(
+    data: Annotated[Path, typer.Argument(help="Measured curve, CSV with named columns (see calibrate.MeasuredCurve).")],
+    fit: Annotated[str, typer.Option(help="Parameters to fit, with commas: friction,kn,ks..")] = "friction",
+    case: Annotated[Path | None, typer.Option(help="Case file of the test; left out: the paper's quarter.")] = None,
+    output: Annotated[Path, typer.Option(help="Folder for the fit, its picture and its log.")] = Path("calibration"),
+    check: Annotated[bool, typer.Option(help="End with the health of the gradient at the answer.")] = True,
+) -> None:
+    """Fit friction and stiffness of a triaxial test to a measured curve, by derivatives of the simulation.
+
+    Writes fit.json, fit.png and evaluations.jsonl into the output folder; an interrupted fit resumes from the latter.
+    """
+    from axijax.case import Case, load_case
+    from axijax.results import writable_folder
+    from calibrate import calibrate_file
+
+    test = (Case() if case is None else load_case(case)).build()
+    calibrate_file(data, fit, test, writable_folder(output), check=check)
+
+
+@app.command()
+def run(
+    case: Annotated[Path, typer.Argument(help="Case file (TOML).")],
+    output: Annotated[Path, typer.Option(help="Folder for the curve and its picture.")] = Path("results"),
+) -> None:
+    """Run the triaxial test of a case file; writes curve.nc, curve.csv, curve.png and the case into the output folder."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    from axijax.case import load_case
+    from axijax.results import save_run, writable_folder
+
+    loaded = load_case(case)
+    folder = writable_folder(output)
+    test = loaded.build()
+    console = Console()
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("strain {task.completed:.3f} %  R = {task.fields[ratio]:.4f}"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
+        task = bars.add_task(case.stem, total=100 * test.axial_strain, ratio=1.0)
+        done = test.run(progress=lambda strain, ratio: bars.update(task, completed=100 * strain, ratio=ratio))
+    written = save_run(folder, case.stem, loaded.model_dump_json(), done.curve)
+    peak = done.curve.stress_ratio.argmax()
+    console.print(
+        f"peak stress ratio {done.curve.stress_ratio[peak]:.4f} at {100 * done.curve.axial_strain[peak]:.3f} % axial strain",
         highlight=False,
     )
     console.print("Written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)

@@ -186,11 +186,11 @@ _LAYERED = {
 def lattice_cylinder(
     lattice: str, radius: float = 20.0, layers: int = 25, specimen_radius: float = 200.0
 ) -> Specimen:
-    """Prism of circular section of a "bcc", "hcp" or "sc" lattice: every site whose ball lies within specimen_radius [L].
+    """Prism of circular section of a "bcc", "hcp" or "sc" lattice: every site whose ball is within specimen_radius [L].
 
-    A cube axis (the c axis in HCP) is vertical and goes through a ball of the lowest layer, so that sectors of order 1, 2
-    or 4 fit (1 or 3 in HCP). Neighbours just touch, and so do the platens and the end layers. The membrane zone is
-    every ball that lacks one of its nearest sites within its own layer.
+    A cube axis (the c axis in HCP) is vertical and goes through a ball of the lowest layer, so that sectors of order
+    1, 2 or 4 fit (1 or 3 in HCP). Neighbours just touch, and so do the platens and the end layers. The membrane zone
+    is every ball that lacks one of its nearest sites within its own layer.
     """
     if lattice not in _LAYERED:
         raise ValueError(f"lattice = {lattice!r}: must be one of {', '.join(_LAYERED)}; FCC has `fcc_cylinder`.")

@@ -1,5 +1,6 @@
 """Pictures, with matplotlib (imported on first use of this module)."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib
@@ -8,7 +9,7 @@ from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 
 from axijax.results import write_whole
-from axijax.triaxial import Run, TriaxialTest
+from axijax.triaxial import Curve, Run, TriaxialTest
 
 FRICTION_COLOURS = {0.05: "#2a9d8f", 0.12278: "#1d3557", 0.2: "#e9a23b", 0.3: "#c1440e"}
 
@@ -52,6 +53,22 @@ def stress_ratio_figure(rows) -> Figure:
     )  # fmt: skip
     axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
     axes.grid(alpha=0.3)
+    return figure
+
+
+def curve_figure(curves: Mapping[str, Curve]) -> Figure:
+    """Stress ratio and volumetric strain against axial strain, one line a run."""
+    figure = Figure(figsize=(7, 7), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    for name, curve in curves.items():
+        strain = 100 * np.asarray(curve.axial_strain)
+        upper.plot(strain, curve.stress_ratio, label=name)
+        lower.plot(strain, 100 * np.asarray(curve.volumetric_strain))
+    upper.set(ylabel="stress ratio s1/s3 [-]")
+    upper.legend(frameon=False)
+    lower.set(xlabel="axial strain [%]", ylabel="volumetric strain [%]\n(compression positive)")
+    for axes in (upper, lower):
+        axes.grid(alpha=0.3)
     return figure
 
 

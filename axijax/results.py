@@ -5,6 +5,7 @@ import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,6 +52,22 @@ def curves_dataset(curves: Mapping[str, Curve], labels: Mapping[str, Sequence], 
 def save_dataset(dataset: "xarray.Dataset", path: Path) -> None:
     """Write a dataset as NetCDF, whole or not at all. Raises OSError where the folder cannot be written."""
     write_whole(path, lambda target: dataset.to_netcdf(target, engine="scipy"))
+
+
+def save_run(folder: Path, name: str, case: str, curve: Curve) -> list[Path]:
+    """Write one run's curve as NetCDF and CSV, with a picture; the case (JSON) and the versions go into the NetCDF."""
+    import jax
+
+    from axijax import plot
+
+    attributes = {"title": name, "case": case, "axijax": version("axijax"), "jax": jax.__version__}
+    columns = [f.name for f in fields(Curve) if f.name not in WHOLE]
+    rows = zip(*(np.asarray(getattr(curve, column)).tolist() for column in columns), strict=True)
+    paths = [folder / f"curve.{kind}" for kind in ("nc", "csv", "png")]
+    save_dataset(curves_dataset({name: curve}, {}, attributes), paths[0])
+    save_table(paths[1], columns, [dict(zip(columns, row, strict=True)) for row in rows])
+    plot.save_figure(plot.curve_figure({name: curve}), paths[2])
+    return paths
 
 
 def save_table(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, object]]) -> None:

@@ -1,7 +1,7 @@
 """Scenes of a few balls for the tests: built from plain arrays, run with still platens, recorded.
 
-A flat frictional plane is a ball of radius PLANE, whose mass keeps it at rest; gravity is a constant lateral load, so it
-and the plane's normal lie in x, y. Units here: ball radius, mass and normal stiffness 1.
+A flat frictional plane is a ball of radius PLANE, whose mass keeps it at rest; gravity is a constant lateral load, so
+that it and the plane's normal lie in x, y. Units here: ball radius, mass and normal stiffness 1.
 """
 
 from functools import partial
@@ -40,14 +40,17 @@ def unit_params(**changes) -> Params:
     return Params(**(given | changes))
 
 
-def few_balls(scene: Scene, positions, velocity, spin=None, radius=1.0, platens=FAR, **options) -> tuple[Network, State]:
+def few_balls(
+    scene: Scene, positions, velocity, spin=None, radius=1.0, platens=FAR, **options
+) -> tuple[Network, State]:
     """Contact list and first state of balls at positions (3, N) with velocities and spins (3, N), without a sector."""
     positions = np.asarray(positions, float)
     count = positions.shape[1]
     specimen = Specimen(positions, np.broadcast_to(radius, (count,)), *platens, np.ones(count, bool))
     options.setdefault("skin", 1.0)
     network = build_network(specimen, Sector(1), **options)
-    state = initial_state(network, scene, jnp.asarray(platens))._replace(velocity=from_rows(np.asarray(velocity, float)))
+    state = initial_state(network, scene, jnp.asarray(platens))
+    state = state._replace(velocity=from_rows(np.asarray(velocity, float)))
     if scene.spins and spin is not None:
         state = state._replace(spin=from_rows(np.asarray(spin, float)))
     return network, state

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from few_balls import PLANE, constant_load, few_balls, jit, no_load, order_of, run, still, unit_params
+from few_balls import PLANE, constant_load, few_balls, jit, no_load, order_of, still, unit_params
 
 from axijax.dynamics import Params, Scene, initial_state, make_step
 from axijax.energy import EnergyBalance, energy_balance, make_ledger_step, open_ledger
@@ -18,7 +18,6 @@ from axijax.sector import Sector
 from axijax.theory import dashpot_restitution, local_damping_restitution, slide_to_roll
 from axijax.triaxial import TriaxialTest, _load, _ramp, _start_shear
 from axijax.vector import from_rows
-
 
 balance_of = jit(energy_balance, static_argnums=0)
 
@@ -111,7 +110,8 @@ def test_closes_to_rounding_while_contacts_neither_open_nor_turn(damping, fricti
     scene = Scene(friction=friction, damping=damping)
     params = unit_params(damping_ratio=0.1, local_damping=0.5, background_damping=0.05, platen_speed=1e-3)
     place = [[0, 0], [0, 0], [0.98, 2.94]]
-    network, state = few_balls(scene, place, [[0, 0], [0, 0], [0, 0.01]], spin=[[0, 0], [0, 0], [0.1, -0.2]], platens=(0, 3.92))
+    velocity, spin = [[0, 0], [0, 0], [0, 0.01]], [[0, 0], [0, 0], [0.1, -0.2]]
+    network, state = few_balls(scene, place, velocity, spin, platens=(0, 3.92))
     after, start, end = balances(scene, closing, params, network, no_load(network), 0.3, 100, state)
     change = spent(start, end)
     assert float(after.platens[1] - after.platens[0]) == pytest.approx(3.92 - 0.06)
@@ -149,12 +149,12 @@ def lively(specimen, sector, scene, seed=0):
     return network, state, Load(jnp.asarray(areas), jnp.ones(()))
 
 
-LIVELY = {"confining_stress": 0.02, "damping_ratio": 0.1, "local_damping": 0.3, "background_damping": 0.05, "platen_speed": 0.003}
+LIVELY = {"confining_stress": 0.02, "damping_ratio": 0.1, "local_damping": 0.3, "platen_speed": 0.003}
 
 
 @pytest.mark.parametrize("damping", ["dashpot", "local"])
 def test_a_sectors_terms_are_its_share_of_the_full_cylinders(damping):
-    """Balls on the axis, contacts across the planes and with own images: each counts as much as belongs to the sector."""
+    """Balls on the axis, contacts across the planes and with own images: each counts as what belongs to the sector."""
     scene, params = Scene(damping=damping), unit_params(**LIVELY)
 
     def terms(order):
@@ -191,8 +191,8 @@ def test_balance_error_of_violent_motion_falls_with_the_step(boundary, damping):
 
 @pytest.mark.parametrize("friction", [True, False])
 def test_order_of_the_balance_error_of_a_glancing_impact(friction):
-    """Normal springs alone close to second order; a frictional contact measures its slip in the plane at the end of each
-    step, so that it is first order in how far the plane turns. Largest error over where in a step the contact begins."""
+    """Normal springs alone close to second order; a frictional contact measures its slip in the plane at the end of a
+    step, so that it is first order in how far the plane turns. Largest error over where in a step contact begins."""
     scene, params = Scene(friction=friction, damping="none"), unit_params(friction=0.2)
     steps = 0.1 / 2.0 ** np.arange(4)
     errors = []
@@ -200,8 +200,8 @@ def test_order_of_the_balance_error_of_a_glancing_impact(friction):
         worst = 0.0
         for phase in np.linspace(0, 1, 7)[:-1]:
             gap = 1e-3 + 0.1 * phase * dt
-            place = np.array([[0, 2 + gap], [0, 0], [0, 0]])
-            network, state = few_balls(scene, place, [[0, -0.1], [0, 0.1], [0, 0.02]], spin=[[0.1, 0], [0, 0.05], [0, 0]])
+            place, velocity = [[0, 2 + gap], [0, 0], [0, 0]], [[0, -0.1], [0, 0.1], [0, 0.02]]
+            network, state = few_balls(scene, place, velocity, spin=[[0.1, 0], [0, 0.05], [0, 0]])
             _, start, end = balances(scene, still, params, network, no_load(network), dt, round(4 / dt), state)
             assert float(end.normal_springs) == 0, "they have parted"
             worst = max(worst, abs(spent(start, end).unaccounted))
@@ -225,7 +225,7 @@ def test_the_ledger_does_not_touch_the_motion():
 
 
 def sheared(test: TriaxialTest, fraction: float, scene: Scene):
-    """Balances (T,) over the whole shear at this fraction of the default step, the membrane refreshed as in the test."""
+    """Balances (T,) over the shear at this fraction of the default step, the membrane refreshed as in the test."""
     confined, _ = test.confine()
     network, membrane, params, dt = test.network, test.membrane, test.params, fraction * test.time_step
     step = make_ledger_step(scene, _ramp(test.ramp_time))
@@ -236,8 +236,7 @@ def sheared(test: TriaxialTest, fraction: float, scene: Scene):
         def block(both, _):
             load = _load(membrane, network, both[0])
             seen = energy_balance(scene, params, network, load, dt, *both)
-            both, _ = jax.lax.scan(lambda b, _: (step(params, network, load, dt, b), None), both, None, length=block_steps)
-            return both, seen
+            return jax.lax.fori_loop(0, block_steps, lambda _, b: step(params, network, load, dt, b), both), seen
 
         return jax.lax.scan(block, (state, open_ledger()), None, length=blocks)[1]
 

@@ -86,8 +86,8 @@ PHASES = (np.arange(8) + 0.5) / 8
 
 
 def impacts_at_all_phases(scene, params, dt, duration):
-    """Speeds restored (8,) and largest overlaps (8,), over what is expected without damping, of pairs that meet at eight
-    places within a step."""
+    """Speeds restored (8,) and largest overlaps (8,), over what is expected without damping, of pairs that meet at
+    eight places within a step."""
     count = PHASES.size
     gap = SPEED * dt * (1 + PHASES)
     nought, up = np.zeros(count), 10.0 * np.arange(count)
@@ -102,8 +102,8 @@ def impacts_at_all_phases(scene, params, dt, duration):
 
 @pytest.mark.parametrize("beta", [0.05, 0.3, 1.0, 1.5])
 def test_dashpots_that_never_pull_restore_the_closed_form(beta):
-    """Restitution and time pressed with dashpots clamped at zero force. A dashpot's force jumps to c v in the midst of a
-    step, so the worst error falls at first order; the mean over where the contact begins is nearer."""
+    """Restitution and time pressed with dashpots clamped at zero force. A dashpot's force jumps to c v in the midst of
+    a step, so the worst error falls at first order; the mean over where the contact begins is nearer."""
     scene, params = Scene(friction=False), unit_params(damping_ratio=beta)
     duration = float(dashpot_duration(beta, 0.5, 1.0))
     steps = duration / (np.array([100, 200, 400]) + 0.5)
@@ -136,7 +136,8 @@ def test_local_damping_along_z_restores_the_closed_form(a):
 def test_undamped_impact_converges_at_second_order():
     """Speed restored and greatest overlap; the worst over where in a step the contact begins."""
     duration = float(impact_duration(0.5, 1.0))
-    steps, errors = duration / (np.array([10, 20, 40, 80]) + 0.5), []  # each ends the contact at the same place of a step
+    # Each of these steps ends the contact at the same place within it.
+    steps, errors = duration / (np.array([10, 20, 40, 80]) + 0.5), []
     for dt in steps:
         found = impacts_at_all_phases(Scene(friction=False, damping="none"), unit_params(), dt, duration)
         errors.append([np.abs(ratios - 1).max() for ratios in found])
@@ -177,8 +178,8 @@ def test_sticking_impact_converges_at_second_order():
 @pytest.mark.parametrize("beta", [0.0, 0.1])
 @pytest.mark.parametrize("tangential_speed, spin", [(5.0, 0.0), (-5.0, 0.0), (20.0, 3.0), (0.0, 6.0), (0.0, -6.0)])
 def test_gross_sliding_impact_on_a_plane(beta, tangential_speed, spin):
-    """Chung & Ooi 4, 5 (tangential speed) and 6 (spin only): f(1+e)v of tangential speed and 5f(1+e)v/(2r) of spin change
-    hands, e being what the impact itself restored, or the closed form."""
+    """Chung & Ooi 4, 5 (tangential speed) and 6 (spin only): f(1+e)v of tangential speed and 5f(1+e)v/(2r) of spin
+    change hands, e being what the impact itself restored."""
     f, dt = 0.3, 1e-3
     params = unit_params(friction=f, damping_ratio=beta)
     start = {"tangential_speed": tangential_speed * SPEED, "spin": spin * SPEED}
@@ -241,7 +242,7 @@ def test_spinning_balls_in_gross_sliding(radius, spins):
     assert velocity[0, 1] - velocity[0, 0] == pytest.approx(2 * SPEED, rel=1e-4)
     sense = np.sign(spins[0] + radius * spins[1])  # of the surfaces' slip
     impulse = sense * f * normal_impulse
-    # The contact point of ball 0 moves up with a positive spin, and is held back: the ball is pushed down, its spin slowed.
+    # A positive spin moves the contact point of ball 0 up; held back there, the ball is pushed down and its spin slowed.
     np.testing.assert_allclose(velocity[1] * mass, [-impulse, impulse], rtol=2e-3)
     slowed = 2.5 * impulse / (mass * np.array([1.0, radius]))
     np.testing.assert_allclose(np.array(spins) - spin, slowed, rtol=2e-3)
@@ -301,7 +302,7 @@ def test_ball_falls_and_bounces(beta):
     assert float(lower.displacement.x[1]) == pytest.approx(-0.5 * gravity * (count * dt) ** 2, rel=1e-9)
     e = float(dashpot_restitution(beta))
     top = run(scene, params, network, load, dt, round((fall * (1 + e) + 3) / dt) - count, lower)
-    # Gravity adds a share of g sqrt(m/k)/v = 1e-3 to the contact's force, the step an error of its order in the dashpot.
+    # Gravity adds a share of g sqrt(m/k)/v = 1e-3 to the contact's force, the step its error in the dashpot.
     assert height + float(top.displacement.x[1]) == pytest.approx(e**2 * height, rel=4e-3 if beta else 1e-4)
     assert abs(float(top.velocity.x[1])) < 5e-3 * gravity * fall
 
@@ -310,7 +311,7 @@ def test_ball_falls_and_bounces(beta):
 
 
 def test_stacked_balls_between_platens_vibrate_in_their_two_modes():
-    """wall, ball, ball, wall with equal springs: omega^2 = k/m in phase and 3k/m against each other, at second order."""
+    """Equal springs: omega^2 = k/m in phase and 3k/m against each other, at second order."""
     scene, params = Scene(friction=False, damping="none"), unit_params()
     squeeze, amplitude = 0.03, np.array([1e-3, 2e-3])
     place = np.array([[0, 0], [0, 0], [1.0 - squeeze / 3, 3.0 - 2 * squeeze / 3]])
@@ -326,7 +327,7 @@ def test_stacked_balls_between_platens_vibrate_in_their_two_modes():
         # The velocity half a step before, from rest at the start: minus half a step of the acceleration.
         before = 0.5 * dt * amplitude * omega**2 @ shape
         network, state = few_balls(
-            scene, place + [[0, 0], [0, 0], start], [[0, 0], [0, 0], before], platens=(0, 4 - squeeze)
+            scene, place + np.array([[0, 0], [0, 0], start]), [[0, 0], [0, 0], before], platens=(0, 4 - squeeze)
         )
         end = run(scene, params, network, no_load(network), dt, round(10 / dt), state)
         found = np.asarray(network.positions.z + end.displacement.z) - place[2]
@@ -346,11 +347,8 @@ def test_stacked_balls_settle_under_gravity_between_planes():
     )
     load = constant_load([[0, -gravity, -gravity, 0], [0, 0, 0, 0]])
     state = run(scene, params, network, load, 0.1, 2000, state)
-    by_pair = dict(
-        zip(zip(np.asarray(network.first).tolist(), np.asarray(network.second).tolist()), overlaps(network, state)[2])
-    )
-    found = [by_pair[0, 1], by_pair[1, 2], by_pair[2, 3]]
-    np.testing.assert_allclose(found, squeeze / 3 + gravity * np.array([1, 0, -1]), rtol=1e-7)
+    assert np.asarray(network.first)[:3].tolist() == [0, 1, 2] and np.asarray(network.second)[:3].tolist() == [1, 2, 3]
+    np.testing.assert_allclose(overlaps(network, state)[2], squeeze / 3 + gravity * np.array([1, 0, -1]), rtol=1e-7)
 
 
 # The tangential spring around a closed way.
