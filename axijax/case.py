@@ -104,6 +104,16 @@ class Case(_Section):
         )
 
 
+# The fields of every section, by name.
+SECTIONS = {
+    "specimen": SpecimenCase.model_fields,
+    "sector": SectorCase.model_fields,
+    "scene": SceneCase.model_fields,
+    "parameters": ParametersCase.model_fields,
+    "test": TestCase.model_fields,
+}
+
+
 def load_case(path: Path | str) -> Case:
     """Read a case file. Raises ValueError, naming file, field, value and what is allowed."""
     try:
@@ -121,11 +131,10 @@ def load_case(path: Path | str) -> Case:
 
 def _whole_numbers_as_floats(data: dict) -> dict:
     """Let 20 stand for 20.0 where a field is a float; everything else stays as strict as it is."""
-    for section, model in Case.model_fields.items():
+    for section, fields in SECTIONS.items():
         values = data.get(section)
         if not isinstance(values, dict):
             continue
-        fields = model.annotation.model_fields
         for name, value in values.items():
             wants_float = name in fields and fields[name].annotation in (float, float | None)
             if wants_float and isinstance(value, int) and not isinstance(value, bool):
@@ -138,7 +147,7 @@ def _sentence(error: ValidationError) -> str:
     where = ".".join(str(part) for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
         *section, name = problem["loc"]
-        known = list(Case.model_fields[section[0]].annotation.model_fields if section else Case.model_fields)
+        known = list(SECTIONS[str(section[0])] if section else SECTIONS)
         near = difflib.get_close_matches(str(name), known, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}."
         return f"'{where}' is not a field; {hint}"

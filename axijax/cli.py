@@ -1,4 +1,4 @@
-"""The command line: `axijax table1`, `axijax run`, `axijax calibrate`. Heavy imports happen inside the commands, so that --help is quick."""
+"""The command line. Heavy imports happen inside the commands, so that --help is quick."""
 
 import sys
 from pathlib import Path
@@ -67,8 +67,8 @@ def table1(
     confined = [row.run.curve.confinement for row in rows]
     console.print(
         f"Confined to an unbalanced force of {max(float(c.unbalanced_force) for c in confined):.1e} and a stress error "
-        f"of {max(float(c.stress_error) for c in confined):.1e} at most, in {max(int(c.steps) for c in confined)} steps "
-        f"at most; {time.perf_counter() - started:.1f} s in all.",
+        f"of {max(float(c.stress_error) for c in confined):.1e} at most, in {max(int(c.steps) for c in confined)} "
+        f"steps at most; {time.perf_counter() - started:.1f} s in all.",
         highlight=False,
     )
     console.print("Written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
@@ -99,7 +99,7 @@ def run(
     case: Annotated[Path, typer.Argument(help="Case file (TOML).")],
     output: Annotated[Path, typer.Option(help="Folder for the curve and its picture.")] = Path("results"),
 ) -> None:
-    """Run the triaxial test of a case file; writes curve.nc, curve.csv, curve.png and the case into the output folder."""
+    """Run the triaxial test of a case file; writes curve.nc (with the case), curve.csv and curve.png."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -123,7 +123,8 @@ def run(
     written = save_run(folder, case.stem, loaded.model_dump_json(), done.curve)
     peak = done.curve.stress_ratio.argmax()
     console.print(
-        f"peak stress ratio {done.curve.stress_ratio[peak]:.4f} at {100 * done.curve.axial_strain[peak]:.3f} % axial strain",
+        f"peak stress ratio {done.curve.stress_ratio[peak]:.4f} "
+        f"at {100 * done.curve.axial_strain[peak]:.3f} % axial strain",
         highlight=False,
     )
     console.print("Written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)

@@ -80,7 +80,7 @@ def linear_law(params, network: Network, mass_per_cube, *, dashpots: bool) -> La
 
 
 def contact_friction(params, network: Network):
-    """Friction coefficient of the contacts: the scene's, or the mean of the two balls' where it is given per ball [-]."""
+    """Friction coefficient of the contacts: the scene's, or the mean of the two balls' where given per ball [-]."""
     friction = params.friction
     if jnp.ndim(friction) == 0:
         return friction
@@ -114,6 +114,7 @@ def elastic_force(law: Law, place: Geometry) -> Vector:
 def frictionless_force(law: Law, place: Geometry, approach: Vector) -> Vector:
     """Force of a frictionless contact with a dashpot."""
     distance = jnp.sqrt(place.apart.dot(place.apart))
+    assert law.normal_viscosity is not None
     push = law.normal_stiffness * place.overlap - law.normal_viscosity * place.apart.dot(approach) / distance
     return place.apart * (jnp.where((place.overlap > 0) & (push > 0), push, 0.0) / distance)
 

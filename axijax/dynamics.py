@@ -206,7 +206,7 @@ def make_step(scene: Scene, drive: PlatenDrive):
         advance = partial(_advance, scene, params, dt, positions(network, state))
         velocity = advance(state.velocity, forces.resultant, 1 / mass)
         spin = state.spin
-        if spin is not None:
+        if spin is not None and forces.moment is not None:
             spin = advance(spin, forces.moment, 1 / (0.4 * mass * network.radius**2))
         return State(
             displacement=state.displacement + velocity * dt,
@@ -266,7 +266,7 @@ def critical_time_step(scene: Scene, params: Params, network: Network, touching_
     stiffness = float(params.normal_stiffness), float(params.shear_stiffness) if scene.friction else 0.0
     beta = float(np.asarray(params.damping_ratio)) if scene.damping == "dashpot" else 0.0
     reduced = 1 / (1 / mass[first] + 1 / mass[second])
-    viscosity = [2 * beta * np.sqrt(constant * reduced) for constant in stiffness]
+    normal_viscosity, shear_viscosity = (2 * beta * np.sqrt(constant * reduced) for constant in stiffness)
 
     # Ball-plate contacts, and those with rigid sector planes, as springs to the ground.
     place = np.asarray(network.positions)
@@ -315,5 +315,5 @@ def critical_time_step(scene: Scene, params: Params, network: Network, touching_
     if omega == 0:
         raise ValueError("critical time step: no contact is closed, so there is no frequency to resolve.")
     wall_viscosity = 2 * beta * np.sqrt(wall * mass)
-    xi = float(modes[:, 0] @ apply(modes[:, 0], *viscosity, wall_viscosity)) / (2 * omega)
+    xi = float(modes[:, 0] @ apply(modes[:, 0], normal_viscosity, shear_viscosity, wall_viscosity)) / (2 * omega)
     return 2 / omega * (np.sqrt(1 + xi**2) - xi)

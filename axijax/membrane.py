@@ -104,7 +104,8 @@ def build_membrane(specimen: Specimen, sector: Sector, triangles: int | None = N
     edge = edge.reshape(3, -1)
     edge_inside = np.bincount(edge.ravel(), minlength=3 * (triangles or needed)) == 2
     pad = np.zeros((triangles or needed) - needed, int)  # padding repeats a triangle that nobody owns
-    code = np.concatenate([codes[:, corners], codes[:, corners[:, pad]] * [[[1]], [[1]], [[1]], [[1]], [[1]], [[0]]]], 2)
+    unowned = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])[:, None, None]
+    code = np.concatenate([codes[:, corners], codes[:, corners[:, pad]] * unowned], axis=2)
     return Membrane(
         zone=jnp.asarray(zone.astype(np.int32)),
         angle=jnp.asarray(theta.astype(dtype)),

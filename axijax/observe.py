@@ -72,7 +72,7 @@ def observe(
 
 
 def core_stress_ratio(network: Network, forces: Forces, normal, place, radius, platens) -> jax.Array:
-    """Vertical over mean horizontal Love-Weber stress of the inner core; the horizontal mean is the same for all images.
+    """Vertical over mean horizontal Love-Weber stress of the inner core; the mean is the same for all images.
 
     Each ball adds force times arm of its own half of a contact; the core's volume drops out of the ratio.
     """

@@ -51,7 +51,7 @@ class Specimen:
         if (positions[2] < self.bottom).any() or (positions[2] > self.top).any():
             raise ValueError(
                 "specimen: a ball's centre lies outside the platens "
-                f"(z from {positions[2].min():g} to {positions[2].max():g}, platens at {self.bottom:g} and {self.top:g})."
+                f"(z from {positions[2].min():g} to {positions[2].max():g}, platens at {self.bottom:g}, {self.top:g})."
             )
         if zone.shape != (count,) or not zone.any():
             raise ValueError(
@@ -132,7 +132,7 @@ def fcc_octagon(radius: float = 20.0, layers: int = 25, half_width: int = 9, dia
 
 
 def fcc_cylinder(radius: float = 20.0, layers: int = 25, specimen_radius: float = 200.0) -> Specimen:
-    """FCC prism of circular section with a vertical cube axis: every site whose ball lies within specimen_radius [L]."""
+    """FCC prism of circular section with a vertical cube axis: every ball within specimen_radius [L]."""
     _positive("radius", radius)
     _positive("specimen_radius", specimen_radius)
     _whole("layers", layers, 1)

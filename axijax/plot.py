@@ -44,7 +44,8 @@ def stress_ratio_figure(rows) -> Figure:
         )  # fmt: skip
         if run.boundary == "periodic":
             axes.axhline(values["theory"], color=colour, lw=0.8, alpha=0.6)
-            axes.text(0.985, values["theory"] + 0.02, f"Thornton, f = {run.friction:g}", color=colour, size=8, ha="right")
+            name = f"Thornton, f = {run.friction:g}"
+            axes.text(0.985, values["theory"] + 0.02, name, color=colour, size=8, ha="right")
     axes.plot([], [], "o", color="grey", label="paper's peaks, periodic planes")
     axes.plot([], [], "s", color="grey", mfc="white", label="paper's peaks, rigid planes and full system")
     axes.set(
@@ -73,7 +74,7 @@ def curve_figure(curves: Mapping[str, Curve]) -> Figure:
 
 
 def local_shear(test: TriaxialTest, displacement: np.ndarray) -> np.ndarray:
-    """How far each ball has moved against its first neighbours, the largest relative displacement over a diameter; (N,)."""
+    """How far each ball has moved against its first neighbours, at most, in diameters; (N,)."""
     network = test.network
     listed = np.asarray(network.image) >= 0
     first, second, image = (np.asarray(a)[listed] for a in (network.first, network.second, network.image))
@@ -150,7 +151,7 @@ def deformed_figure(test: TriaxialTest, run: Run) -> Figure:
         label="displacement relative to first neighbours / diameter",
     )  # fmt: skip
     figure.suptitle(
-        f"Deformed specimen, f = {float(test.params.friction):g}, axial strain {100 * float(curve.axial_strain[-1]):.1f} %"
-        f" (arrows: displacement; ringed: membrane zone; dashed: sector planes)"
+        f"Deformed specimen, f = {float(test.params.friction):g}, axial strain {100 * float(curve.axial_strain[-1]):.1f}"
+        f" % (arrows: displacement; ringed: membrane zone; dashed: sector planes)"
     )
     return figure

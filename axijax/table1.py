@@ -11,7 +11,7 @@ import numpy as np
 from axijax import theory
 from axijax.packing import fcc_octagon
 from axijax.results import curves_dataset, save_dataset, save_table
-from axijax.sector import Sector
+from axijax.sector import Boundary, Sector
 from axijax.triaxial import Run, TriaxialTest
 
 COLUMNS = (
@@ -94,7 +94,7 @@ class Row:
 
 def make_test(paper_run: PaperRun) -> TriaxialTest:
     """The test behind one row; the quarter's f = 0.12278 goes on to the strain of figure 4(b)."""
-    boundary = "rigid" if paper_run.boundary == "rigid" else "periodic"
+    boundary: Boundary = "rigid" if paper_run.boundary == "rigid" else "periodic"
     test = TriaxialTest(
         fcc_octagon(),
         Sector(paper_run.sectors, boundary),
@@ -134,7 +134,7 @@ def save(rows: Sequence[Row], folder: Path) -> list[Path]:
 
     paths = [folder / name for name in ("table1.csv", "curves.nc", "figure_4a.png", "figure_4b.png")]
     save_table(paths[0], COLUMNS, [row.values() for row in rows])
-    labels = {
+    labels: dict[str, Sequence] = {
         "boundary": [row.paper_run.boundary for row in rows],
         "sectors": [row.paper_run.sectors for row in rows],
         "friction": [row.paper_run.friction for row in rows],

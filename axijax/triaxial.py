@@ -270,7 +270,7 @@ def raise_for_status(status, curve: Curve | None = None) -> None:
 
 
 def _join(records: list[Observation]) -> Observation:
-    return Observation(*(np.concatenate(values) for values in zip(*records, strict=True)))
+    return jax.tree.map(lambda *values: np.concatenate(values), *records)
 
 
 def _rebuilt(cut: Specimen, network: Network, membrane: Membrane, state: State):
@@ -429,10 +429,10 @@ def _start_shear(scene: Scene, network: Network, confined: State) -> State:
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _simulate(scene: Scene, protocol: Protocol, numbers, params: Params) -> Curve:
-    network, membrane, *_ = numbers
+    network = numbers[0]
     confined, balance = _confine(protocol, numbers, params)
     start = _start_shear(scene, network, confined)
-    state, seen, status = _shear(scene, protocol, numbers, params, start, _fixed_load(protocol, numbers, start))
+    _, seen, status = _shear(scene, protocol, numbers, params, start, _fixed_load(protocol, numbers, start))
     settled = jnp.maximum(balance.unbalanced_force, balance.stress_error) <= protocol.tolerance
     status = jnp.bitwise_or.reduce(status) | jnp.where(settled, 0, NOT_CONFINED)
     return make_curve(seen, balance, status)
