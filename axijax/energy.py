@@ -86,7 +86,7 @@ def make_ledger_step(scene: Scene, drive: PlatenDrive):
         forces = all_forces(scene, params, network, load, dt, state)
         after = advance(params, network, load, dt, state)
         velocity = (state.velocity + after.velocity) * 0.5
-        spin = None if state.spin is None else (state.spin + after.spin) * 0.5
+        spin = None if state.spin is None or after.spin is None else (state.spin + after.spin) * 0.5
         platen_speeds = 0.5 * (state.platen_speeds + after.platen_speeds)
         if scene.damping == "dashpot":
             lost = _dashpot_power(params, network, forces, state, velocity, spin, platen_speeds)
@@ -205,7 +205,7 @@ def _drag_power(scene: Scene, params: Params, network: Network, forces: Forces, 
     if scene.damping == "local":
         place = positions(network, state)
         power = _local_drag(params, place, forces.resultant, state.velocity, velocity)
-        if spin is not None:
+        if spin is not None and state.spin is not None and forces.moment is not None:
             power += _local_drag(params, place, forces.moment, state.spin, spin)
     return (power * network.weight).sum()
 

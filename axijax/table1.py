@@ -3,12 +3,13 @@
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from axijax import theory
+from axijax.dynamics import Params
 from axijax.packing import fcc_octagon
 from axijax.results import curves_dataset, save_dataset, save_table
 from axijax.sector import Boundary, Sector
@@ -95,12 +96,12 @@ class Row:
 def make_test(paper_run: PaperRun) -> TriaxialTest:
     """The test behind one row; the quarter's f = 0.12278 goes on to the strain of figure 4(b)."""
     boundary: Boundary = "rigid" if paper_run.boundary == "rigid" else "periodic"
-    test = TriaxialTest(
+    return TriaxialTest(
         fcc_octagon(),
         Sector(paper_run.sectors, boundary),
+        params=Params(friction=paper_run.friction),
         axial_strain=DEFORMED_STRAIN if paper_run is DEFORMED else AXIAL_STRAIN,
     )
-    return replace(test, params=replace(test.params, friction=paper_run.friction))
 
 
 def run_table(

@@ -242,7 +242,7 @@ def test_spinning_balls_in_gross_sliding(radius, spins):
     assert velocity[0, 1] - velocity[0, 0] == pytest.approx(2 * SPEED, rel=1e-4)
     sense = np.sign(spins[0] + radius * spins[1])  # of the surfaces' slip
     impulse = sense * f * normal_impulse
-    # A positive spin moves the contact point of ball 0 up; held back there, the ball is pushed down and its spin slowed.
+    # A positive spin moves the contact point of ball 0 up; held back there, the ball is pushed down, its spin slowed.
     np.testing.assert_allclose(velocity[1] * mass, [-impulse, impulse], rtol=2e-3)
     slowed = 2.5 * impulse / (mass * np.array([1.0, radius]))
     np.testing.assert_allclose(np.array(spins) - spin, slowed, rtol=2e-3)

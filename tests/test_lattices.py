@@ -385,7 +385,8 @@ def test_fcc_in_a_general_stress_state(friction, rate_y):
 # A whole specimen in balance.
 
 
-@pytest.mark.parametrize("order", [pytest.param(1, marks=pytest.mark.slow), 4])
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [1, 4])
 def test_forces_on_platens_and_membrane_are_the_contacts_stress(order):
     """Virial theorem on a confined octagon: the contacts' f_z l_z add up to platen force times the end balls' distance,
     their horizontal part to the sum of membrane force times radius, in a sector as in the whole."""
