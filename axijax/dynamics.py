@@ -61,8 +61,11 @@ class Params:
         return self.normal_stiffness
 
 
-def check_params(params: Params) -> None:
-    """Raise ValueError, naming field, value and what is allowed, for concrete parameters that make no sense."""
+def check_params(params: Params, balls: int) -> None:
+    """Raise ValueError, naming field, value and what is allowed, for concrete parameters that make no sense.
+
+    balls: number of balls in the sector, for a friction per ball.
+    """
     positive = ("normal_stiffness", "shear_stiffness", "confining_stress", "density")
     for name, value in vars(params).items():
         if isinstance(value, jax.core.Tracer):
@@ -80,6 +83,9 @@ def check_params(params: Params) -> None:
             raise ValueError(f"{name} = {shown:g}: must be zero or positive.")
         if name == "local_damping" and numbers.max() >= 1:
             raise ValueError(f"{name} = {numbers.max():g}: must be below 1, or a force no longer moves its ball.")
+        if numbers.shape != () and not (name == "friction" and numbers.shape == (balls,)):
+            allowed = "one number" + (f", or ({balls},), one per ball" if name == "friction" else "")
+            raise ValueError(f"{name} has shape {numbers.shape}: must be {allowed}.")
 
 
 @dataclass(frozen=True)

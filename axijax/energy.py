@@ -115,10 +115,10 @@ def energy_balance(
     spin = jnp.zeros_like(ledger.friction)
     shear_springs = spin
     friction = ledger.friction
+    forces = all_forces(scene, params, network, load, dt, state)
     if state.spin is not None:
         spin = 0.5 * (0.4 * mass * network.radius**2 * state.spin.dot(state.spin)).sum()
-    if state.spring is not None:
-        forces = all_forces(scene, params, network, load, dt, state)
+    if state.spring is not None and forces.contacts.spring is not None:
         stretch = state.spring.dot(forces.contacts.spring)
         shear_springs = 0.5 * (params.shear_stiffness * stretch * network.share).sum()
         friction = friction + _slip_work(params, network, forces, dt, state, both_ends=False)
@@ -155,8 +155,8 @@ def _normal_energy(params: Params, network: Network, dt, state: State):
 def _slip_work(params: Params, network: Network, forces: Forces, dt, state: State, *, both_ends: bool):
     """Work of the shear springs in what the Coulomb cap has cut off them since t - dt: the mean of their forces at
     t - dt and t times the slip; or, of the two halves of that mean, only the first."""
-    if state.spring is None:
-        return jnp.zeros_like(network.share).sum()
+    if state.spring is None or forces.contacts.spring is None:
+        return jnp.zeros((), network.dtype)
     normal, relative = _relative_motion(network, state, state.velocity, state.spin)
     along = normal * relative.dot(normal)
     slip = state.spring + (relative - along) * dt - forces.contacts.spring

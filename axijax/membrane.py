@@ -82,15 +82,15 @@ def build_membrane(specimen: Specimen, sector: Sector, triangles: int | None = N
             "mark the outer balls only."
         )
     theta = sector.angle_of(points)
-    middle = (rho.min() + rho.max()) / 2
-    places, codes, owners, share = _copies(theta, points[2], middle, specimen.bottom, specimen.top, sector)
-    corners = Delaunay(places.T).simplices.T
-    a, b, c = places[:, corners[0]], places[:, corners[1]], places[:, corners[2]]
-    clockwise = _cross(b - a, c - a) < 0
-    corners[1:, clockwise] = corners[:0:-1, clockwise]
-    owned = codes[5] > 0
-    corners = corners[:, owned[corners].any(axis=0)]
-    celled = np.isin(np.arange(zone.size), owners[corners[owned[corners]]])
+    counted = np.ones(zone.size, bool)
+    for _ in range(4):  # a ball squeezed out must not shift the cylinder on which it is found to be so
+        middle = (rho[counted].min() + rho[counted].max()) / 2
+        places, codes, owners, share = _copies(theta, points[2], middle, specimen.bottom, specimen.top, sector)
+        corners = _triangles(places, codes[5] > 0)
+        before, counted = counted, _within_surface(rho, specimen.radius[zone], owners[corners])
+        if (before == counted).all():
+            break
+    celled = np.isin(np.arange(zone.size), owners[corners[codes[5][corners] > 0]])
     if not celled.all():
         raise ValueError(
             f"membrane_zone: ball {zone[~celled][0]} lies at the same place of the unfolded cylinder as another zone "
@@ -120,9 +120,18 @@ def build_membrane(specimen: Specimen, sector: Sector, triangles: int | None = N
         owned=jnp.asarray(code[5].astype(dtype)),
         edge=jnp.asarray(np.concatenate([edge, np.full((3, pad.size), edge.max() + 1)], 1).astype(np.int32)),
         edge_inside=jnp.asarray(edge_inside),
-        counted=jnp.asarray(_within_surface(rho, specimen.radius[zone], owners[corners])),
+        counted=jnp.asarray(counted),
         sector_angle=jnp.asarray(sector.angle, dtype),
     )
+
+
+def _triangles(places, owned):
+    """Delaunay triangles (3, T) with an owned corner, counter-clockwise."""
+    corners = Delaunay(places.T).simplices.T
+    a, b, c = places[:, corners[0]], places[:, corners[1]], places[:, corners[2]]
+    clockwise = _cross(b - a, c - a) < 0
+    corners[1:, clockwise] = corners[:0:-1, clockwise]
+    return corners[:, owned[corners].any(axis=0)]
 
 
 def _copies(theta, z, middle, bottom, top, sector: Sector):
@@ -137,22 +146,23 @@ def _copies(theta, z, middle, bottom, top, sector: Sector):
         home = np.where(sector.angle - home < 1e-12, 0.0, home)
         across = [(1.0, 0.0), (1.0, -sector.angle), (1.0, sector.angle)]
     else:
+        # Mirrored in both planes one after the other as well, which matters where a plane's own mirror is left out.
         home = theta
-        across = [(1.0, 0.0), (-1.0, 0.0), (-1.0, 2 * sector.angle)]
-    upright = [(1.0, 0.0, 0.0), (-1.0, 2.0, 0.0), (-1.0, 0.0, 2.0)]
+        across = [(sign, shift * sector.angle) for sign, shift in ((1, 0), (-1, 0), (-1, 2), (1, -2), (1, 2))]
+    upright = [(1, 0, 0), (-1, 2, 0), (-1, 0, 2), (1, 2, -2), (1, -2, 2)]
     # Only copies near the strip matter; a zone of few balls keeps them all.
     width, height = middle * sector.angle, top - bottom
     margin = 6 * np.sqrt(width * height / z.size) if z.size >= 30 else np.inf
-    share = np.ones(z.size)
+    same = np.zeros(z.size)
     places, codes, owners = [], [], []
     for sign, shift in across:
         for flip, at_bottom, at_top in upright:
             x = middle * (sign * home + shift)
             y = flip * z + at_bottom * bottom + at_top * top
-            original = (sign, shift, flip) == (1.0, 0.0, 1.0)
-            # A centre on a platen or a rigid plane is its own mirror image: leave the copy out and halve the cell.
+            original = (sign, shift, flip, at_bottom) == (1, 0, 1, 0)
+            # A centre on a platen or a rigid plane is its own mirror image: leave the copy out and share the cell.
             itself = (np.abs(x - middle * home) < 1e-9 * middle) & (np.abs(y - z) < 1e-9 * middle) & (not original)
-            share = np.where(itself, share / 2, share)
+            same += itself
             close = (x > -margin) & (x < width + margin) & (y > bottom - margin) & (y < top + margin)
             kept = np.flatnonzero(close & ~itself)
             one = np.ones(kept.size)
@@ -161,7 +171,7 @@ def _copies(theta, z, middle, bottom, top, sector: Sector):
             places.append(np.stack([x[kept], y[kept]]))
             codes.append(np.stack([sign * one, moved, flip * one, at_bottom * one, at_top * one, original * one]))
             owners.append(kept)
-    return np.concatenate(places, 1), np.concatenate(codes, 1), np.concatenate(owners), share
+    return np.concatenate(places, 1), np.concatenate(codes, 1), np.concatenate(owners), 1 / (1 + same)
 
 
 def _within_surface(rho, radius, corners):

@@ -40,7 +40,10 @@ class Specimen:
                 "an empty specimen cannot be tested."
             )
         count = positions.shape[1]
-        radius = np.broadcast_to(np.asarray(self.radius, float), (count,)).copy()
+        radius = np.asarray(self.radius, float)
+        if radius.shape not in ((), (count,)):
+            raise ValueError(f"specimen radius has shape {radius.shape}: must be one number or ({count},).")
+        radius = np.broadcast_to(radius, (count,)).copy()
         zone = np.asarray(self.membrane_zone, bool)
         if not np.isfinite(positions).all():
             raise ValueError(f"specimen positions hold {np.sum(~np.isfinite(positions))} values that are not finite.")

@@ -151,7 +151,8 @@ def deformed_figure(test: TriaxialTest, run: Run) -> Figure:
         label="displacement relative to first neighbours / diameter",
     )  # fmt: skip
     figure.suptitle(
-        f"Deformed specimen, f = {float(test.params.friction):g}, axial strain {100 * float(curve.axial_strain[-1]):.1f} "
-        "% (arrows: displacement; ringed: membrane zone; dashed: sector planes)"
+        f"Deformed specimen, f = {float(test.params.friction):g}, "
+        f"axial strain {100 * float(curve.axial_strain[-1]):.1f} % "
+        "(arrows: displacement; ringed: membrane zone; dashed: sector planes)"
     )
     return figure

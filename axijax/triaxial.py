@@ -157,14 +157,18 @@ class TriaxialTest:
     protocol: Protocol = field(init=False)
 
     def __post_init__(self) -> None:
-        check_params(self.params)
+        cut = cut_to_sector(self.specimen, self.sector)
+        check_params(self.params, len(cut))
         if not (np.isfinite(self.axial_strain) and 0 < self.axial_strain < 0.5):
             raise ValueError(f"axial_strain = {self.axial_strain!r}: must lie between 0 and 0.5.")
         if not float(self.params.platen_speed) > 0:
             raise ValueError(f"platen_speed = {self.params.platen_speed!r}: must be positive, inward.")
         if isinstance(self.record_every, bool) or not isinstance(self.record_every, int) or self.record_every < 1:
             raise ValueError(f"record_every = {self.record_every!r}: must be a whole number of steps >= 1.")
-        cut = cut_to_sector(self.specimen, self.sector)
+        if not self.confine_steps >= 1:
+            raise ValueError(f"confine_steps = {self.confine_steps!r}: must be at least 1 step.")
+        if not (np.isfinite(self.tolerance) and self.tolerance > 0):
+            raise ValueError(f"tolerance = {self.tolerance!r}: must be positive and finite [-].")
         network = build_network(cut, self.sector)
         limit = critical_time_step(self.scene, self.params, network)
         step = DEFAULT_STEP * limit if self.time_step is None else self.time_step
@@ -216,7 +220,7 @@ class TriaxialTest:
         Raises ValueError for bad parameters, and SimulationError with the remedy for a run that went wrong.
         """
         params = self.params if params is None else params
-        check_params(params)
+        check_params(params, len(self.cut))
         cut, network, membrane = self.cut, self.network, self.membrane
         confined, balance = self.confine(params)
         if not float(max(balance.unbalanced_force, balance.stress_error)) <= self.tolerance:

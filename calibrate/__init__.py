@@ -12,7 +12,7 @@ _PLACES = {
     "parameters": ("ParameterSet", "Prior"),
     "model": ("Cost", "Model", "RunFailed", "jacobian_of", "stretch_tangent"),
     "gradients": ("Gradient", "Health", "gradient", "gradient_health"),
-    "reverse": ("FrictionMap", "checkpoint_scans", "friction_map"),
+    "reverse": ("FrictionMap", "friction_map"),
     "evaluate": ("Evaluation", "Evaluator"),
     "fit": ("fit_parameters",),
     "result": ("Fit",),

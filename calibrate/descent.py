@@ -1,7 +1,7 @@
 """Descent by optax's Adam: for many parameters, or as the plain alternative that a fit of few is measured against.
 
 Adam needs a gradient a step and no Jacobian. For few parameters it takes ten times the runs of least squares; for a
-friction of every ball the gradient comes from checkpointed reverse mode, at a cost that does not grow with their
+friction of every ball the gradient comes from reverse mode, at a cost that does not grow with their
 number.
 """
 
@@ -127,14 +127,15 @@ class FrictionField:
 def fit_friction_per_ball(
     test, targets, prior: Prior, *, learning_rate: float = 0.05, steps: int = 20, settled: float = 1e-4
 ) -> FrictionField:
-    """Fit a friction for every ball of a test's sector by Adam and checkpointed reverse mode.
+    """Fit a friction for every ball of a test's sector by Adam and reverse mode.
 
     targets: Datum and MeasuredCurve objects. prior: of each ball's friction, which a curve alone cannot tell apart; its
     part of the loss is the mean over the balls. Each step costs four to six runs. Raises ValueError for targets beyond
-    the run, RunFailed where the run at the prior fails.
+    the run, RunFailed where the run at the prior fails, RuntimeError in a process with the fast CPU kernels.
     """
-    from calibrate.reverse import checkpoint_scans
+    from calibrate.reverse import refuse_fast_kernels
 
+    refuse_fast_kernels("fit_friction_per_ball")
     targets = list(targets) if isinstance(targets, list | tuple) else [targets]
     model = Model(test, ParameterSet.of(replace(test.params, friction=prior.value), "friction"))
     evaluator = Evaluator(model, targets)
@@ -147,7 +148,7 @@ def fit_friction_per_ball(
         total = jnp.mean(misfit**2) + jnp.mean(((z - centre) / prior.spread) ** 2)
         return jnp.where(curve.status == 0, total, jnp.nan)
 
-    compiled = jax.jit(jax.value_and_grad(checkpoint_scans(loss)))
+    compiled = jax.jit(jax.value_and_grad(loss))
 
     def value_and_gradient(z):
         value, slope = compiled(jnp.asarray(z))

@@ -27,6 +27,11 @@ def calibrate_file(
     no start gives a sound run.
     """
     curve = MeasuredCurve.from_csv(data, **columns)
+    if curve.stress_ratio.argmax() == len(curve) - 1:
+        report(
+            f"note: the data still rise at the last point (R = {curve.stress_ratio[-1]:g}, strain "
+            f"{curve.last_strain:g}): the peak is not in them, so the friction rests on the rise; look at its interval."
+        )
     model = Model(test, ParameterSet.of(test.params, names))
     output = Path(output)
     output.mkdir(parents=True, exist_ok=True)

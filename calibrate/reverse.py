@@ -1,7 +1,7 @@
 """Reverse mode: one target, many parameters. A friction for each ball gives a map of which balls carry the peak.
 
-Reverse mode stores what the way back needs. Kept for every step of a test that is gigabytes, so the records' scan is
-checkpointed: only the state at each record is kept, and each block of steps is run again on the way back.
+A test keeps only its state at each record and runs each block of steps again on the way back, so the memory is tens of
+megabytes. Reverse mode and the fast CPU kernels exclude each other (see axijax.platform).
 """
 
 from dataclasses import dataclass, replace
@@ -10,57 +10,17 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import jaxpr_as_fun
-from jax.extend.core.primitives import jit_p, scan_p
+
+from axijax.platform import fast_cpu_kernels_are_on
 
 
-def checkpoint_scans(function):
-    """The same pure function with the body of every outermost scan checkpointed, so that reverse mode keeps one carry
-    an iteration and nothing inside. The value and all derivatives stay what they are."""
-
-    def wrapped(*arguments):
-        closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
-        results = _evaluate(closed.jaxpr, closed.consts, jax.tree.leaves(arguments))
-        return jax.tree.unflatten(jax.tree.structure(shape), results)
-
-    return wrapped
-
-
-def _evaluate(jaxpr, constants, arguments):
-    values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*constants, *arguments], strict=True))
-
-    def read(atom):
-        return atom.val if hasattr(atom, "val") else values[atom]
-
-    for equation in jaxpr.eqns:
-        inputs = [read(atom) for atom in equation.invars]
-        if equation.primitive is jit_p:
-            inner = equation.params["jaxpr"]
-            outputs = _evaluate(inner.jaxpr, inner.consts, inputs)
-        elif equation.primitive is scan_p:
-            outputs = _checkpointed_scan(equation.params, inputs)
-        else:
-            bound = equation.primitive.get_bind_params(equation.params)
-            functions, parameters = bound if isinstance(bound, tuple) else ((), bound)  # a pair before jax 0.10
-            outputs = equation.primitive.bind(*functions, *inputs, **parameters)
-            outputs = outputs if equation.primitive.multiple_results else [outputs]
-        values.update(zip(equation.outvars, outputs, strict=True))
-    return [read(atom) for atom in jaxpr.outvars]
-
-
-def _checkpointed_scan(parameters, inputs):
-    body = jax.checkpoint(jaxpr_as_fun(parameters["jaxpr"]))
-    constants, carried = parameters["num_consts"], parameters["num_carry"]
-    fixed, carry, rows = inputs[:constants], inputs[constants : constants + carried], inputs[constants + carried :]
-
-    def step(carry, row):
-        outputs = body(*fixed, *carry, *row)
-        return outputs[:carried], outputs[carried:]
-
-    carry, rows = jax.lax.scan(
-        step, list(carry), list(rows), length=parameters["length"], reverse=parameters["reverse"]
-    )
-    return [*carry, *rows]
+def refuse_fast_kernels(what: str) -> None:
+    """Raise RuntimeError where this process uses the fast CPU kernels, with which reverse mode would end it."""
+    if fast_cpu_kernels_are_on():
+        raise RuntimeError(
+            f"{what} needs reverse mode, which would end this process: it uses XLA's fast CPU kernels "
+            "(axijax.fast_cpu_kernels, or XLA_FLAGS); call it in a process without them."
+        )
 
 
 @dataclass(frozen=True)
@@ -116,15 +76,17 @@ class FrictionMap:
 
 
 def friction_map(test, functional, friction=None) -> FrictionMap:
-    """Derivative of a functional to the friction of every ball of a test's sector, by checkpointed reverse mode.
+    """Derivative of a functional to the friction of every ball of a test's sector, by reverse mode.
 
     test: a TriaxialTest; functional: curve -> number; friction: a number or (N,), by default the test's own.
     Costs about four to six runs and one state for each record, whatever N.
 
-    Raises ValueError for a friction of the wrong shape or sign, RunFailed for a run that is not sound.
+    Raises ValueError for a friction of the wrong shape or sign, RunFailed for a run that is not sound, RuntimeError in
+    a process with the fast CPU kernels.
     """
     from calibrate.model import RunFailed
 
+    refuse_fast_kernels("friction_map")
     count = len(test.cut)
     given = np.asarray(test.params.friction if friction is None else friction, float)
     if given.shape not in ((), (count,)) or not (np.isfinite(given).all() and (given >= 0).all()):
@@ -137,7 +99,7 @@ def friction_map(test, functional, friction=None) -> FrictionMap:
         return jnp.reshape(functional(curve), ()), curve.status
 
     per_ball = jnp.broadcast_to(jnp.asarray(given), (count,))
-    step = jax.jit(jax.value_and_grad(checkpoint_scans(number), has_aux=True))
+    step = jax.jit(jax.value_and_grad(number, has_aux=True))
     (value, status), slope = step(per_ball)
     if int(status) or not np.isfinite(np.asarray(slope)).all():
         raise RunFailed(f"the run behind the map ended with status {int(status)}, or a sensitivity that is not finite.")

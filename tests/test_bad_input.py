@@ -24,7 +24,9 @@ def balls(*places, **options):
     """Specimen of balls of radius 1 at places (x, y, z)."""
     positions = np.array(places, float).reshape(-1, 3).T
     zone = np.ones(positions.shape[1], bool)
-    return Specimen(**{"positions": positions, "radius": 1.0, "bottom": -5.0, "top": 5.0, "membrane_zone": zone, **options})
+    return Specimen(
+        **{"positions": positions, "radius": 1.0, "bottom": -5.0, "top": 5.0, "membrane_zone": zone, **options}
+    )
 
 
 def moved_to(ball, place):
@@ -57,7 +59,10 @@ CASES = {
     "unknown boundary": (lambda: Sector(4, "mirror"), ["boundary = 'mirror'", "'periodic'", "'rigid'"]),
     "rigid half": (lambda: Sector(2, "rigid"), ["order = 2", "rigid"]),
     "unknown damping": (lambda: Scene(damping="viscous"), ["damping = 'viscous'", "'dashpot'"]),
-    "negative stiffness": (lambda: triaxial(params=Params(normal_stiffness=-1.5)), ["normal_stiffness = -1.5", "positive"]),
+    "negative stiffness": (
+        lambda: triaxial(params=Params(normal_stiffness=-1.5)),
+        ["normal_stiffness = -1.5", "positive"],
+    ),
     "no shear stiffness": (lambda: triaxial(params=Params(shear_stiffness=0.0)), ["shear_stiffness = 0", "positive"]),
     "negative friction": (lambda: triaxial(params=Params(friction=-0.1)), ["friction = -0.1", "zero or positive"]),
     "one negative friction": (
@@ -75,7 +80,10 @@ CASES = {
     "infinite density": (lambda: triaxial(params=Params(density=np.inf)), ["density = inf", "finite"]),
     "words": (lambda: triaxial(params=Params(friction="rough")), ["friction = 'rough'", "number"]),
     "None": (lambda: triaxial(params=Params(friction=None)), ["friction = None", "number"]),
-    "friction of two balls only": (lambda: triaxial(params=Params(friction=np.array([0.1, 0.2]))), ["friction", "2", "ball"]),
+    "friction of two balls only": (
+        lambda: triaxial(params=Params(friction=np.array([0.1, 0.2]))),
+        ["friction", "2", "ball"],
+    ),
     "stiffness of each ball": (
         lambda: triaxial(params=Params(normal_stiffness=np.full(9, 1e9))),
         ["normal_stiffness", "number"],
@@ -108,7 +116,9 @@ CASES = {
         ["membrane_zone", "ball 0", "axis"],
     ),
     "no membrane in the sector": (
-        lambda: TriaxialTest(balls((3, 3, 0), (-3, 3, 0), (-3, -3, 0), (3, -3, 0), (0, 0, 0), membrane_zone=np.arange(5) == 4)),
+        lambda: TriaxialTest(
+            balls((3, 3, 0), (-3, 3, 0), (-3, -3, 0), (3, -3, 0), (0, 0, 0), membrane_zone=np.arange(5) == 4)
+        ),
         ["membrane_zone", "axis"],
     ),
     "overlap": (lambda: build_network(balls((3, 3, 0), (3, 3, 1)), Sector(4)), ["ball 0", "ball 1", "overlap by 1"]),
@@ -116,7 +126,10 @@ CASES = {
         lambda: build_network(balls(at_angle(5, 5), at_angle(85, 5)), Sector(4)),
         ["overlap by 1.13", "image 3"],
     ),
-    "overlap with its own image": (lambda: build_network(balls((0.5, 0.5, 0)), Sector(2)), ["overlap", "image 1 of ball 0"]),
+    "overlap with its own image": (
+        lambda: build_network(balls((0.5, 0.5, 0)), Sector(2)),
+        ["overlap", "image 1 of ball 0"],
+    ),
     "overlap in a test": (
         lambda: TriaxialTest(octagon_with(radius=21.5)),
         ["overlap by 0.14"],

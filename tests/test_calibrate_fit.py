@@ -10,7 +10,7 @@ from calibrate_standin import StandIn, measured
 
 from axijax.packing import fcc_octagon
 from axijax.triaxial import TriaxialTest
-from calibrate.descent import fit_by_descent, fit_friction_per_ball
+from calibrate.descent import fit_by_descent
 from calibrate.file import calibrate_file
 from calibrate.fit import fit_parameters
 from calibrate.measured import ROWE, MeasuredCurve
@@ -206,11 +206,3 @@ def test_small_specimen_twin():
         assert found.estimate["friction"] == pytest.approx(0.2, rel=1e-2)
         assert found.estimate["normal_stiffness"] == pytest.approx(2.2e9, rel=1e-2)
         assert found.cost.runs + 2 * found.cost.passes <= 8
-
-
-@pytest.mark.slow
-def test_friction_of_every_ball_moves_towards_the_data():
-    test = TriaxialTest(fcc_octagon(layers=5, half_width=3), axial_strain=0.004)
-    found = fit_friction_per_ball(test, Datum(HardPeak(), 2.3, 0.02), Prior(0.1, 0.5), steps=6)
-    assert found.friction.shape == (len(test.cut),)
-    assert found.losses.min() < 0.7 * found.losses[0]

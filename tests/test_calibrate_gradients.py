@@ -1,6 +1,10 @@
 """Tangents against differences and formulas, and the verdict on their health."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import jax
@@ -10,13 +14,16 @@ import pytest
 from calibrate_standin import StandIn
 
 from axijax.dynamics import Params, Scene
+from axijax.lattice import lattice_load
 from axijax.packing import fcc_octagon
+from axijax.sector import Sector
 from axijax.triaxial import TriaxialTest
+from calibrate.descent import fit_friction_per_ball
 from calibrate.evaluate import Evaluator
 from calibrate.gradients import gradient
 from calibrate.model import Model, RunFailed, jacobian_of, stretch_tangent
-from calibrate.parameters import ParameterSet
-from calibrate.reverse import checkpoint_scans, friction_map
+from calibrate.parameters import ParameterSet, Prior
+from calibrate.reverse import friction_map
 from calibrate.targets import Datum, HardPeak, InitialSlope, StrainAtPeak, WindowMean
 
 SETTINGS = Params(damping_ratio=0.2, platen_speed=0.02)
@@ -116,22 +123,6 @@ def test_time_step_is_held_by_the_density():
     assert float(soft.density) == pytest.approx(1000.0)
 
 
-def test_checkpointed_scans_change_nothing():
-    def function(x, n):
-        def outer(carry, row):
-            carry = jax.lax.scan(lambda c, _: (jnp.sin(c) + row, None), carry, None, length=5)[0]
-            return carry, carry**2
-
-        settled = jax.lax.while_loop(lambda v: v < 3.0, lambda v: v + 1.0, n)
-        carry, rows = jax.jit(lambda y: jax.lax.scan(outer, y, jnp.arange(7.0)))(x)
-        return carry.sum() + rows.sum() * settled
-
-    x = jnp.array([0.3, 0.7])
-    plain, wrapped = (jax.value_and_grad(f)(x, 0.5) for f in (function, checkpoint_scans(function)))
-    assert float(plain[0]) == float(wrapped[0])
-    assert np.asarray(wrapped[1]) == pytest.approx(np.asarray(plain[1]), rel=1e-14)
-
-
 def test_jacobian_of_a_target_is_the_chain_rule():
     curve = SimpleNamespace(axial_strain=np.linspace(0, 0.01, 11), stress_ratio=np.linspace(1, 2, 11))
     tangents = SimpleNamespace(axial_strain=np.zeros((1, 11)), stress_ratio=np.full((1, 11), 3.0))
@@ -162,55 +153,89 @@ def test_local_damping_is_unhealthy():
     assert health.largest_tangent > 1e4
 
 
+def test_reverse_mode_is_refused_with_the_fast_kernels():
+    """These tests run with the fast kernels (conftest), with which reverse mode would end the process."""
+    with pytest.raises(RuntimeError, match=r"friction_map needs reverse mode, .* in a process without them"):
+        friction_map(StandIn(), WindowMean())
+    with pytest.raises(RuntimeError, match="fit_friction_per_ball needs reverse mode"):
+        fit_friction_per_ball(StandIn(), Datum(HardPeak(), 2.3, 0.02), Prior(0.1, 0.5))
+
+
 @pytest.mark.slow
-def test_map_of_frictions_adds_up_to_the_derivative(tmp_path):
-    test = TriaxialTest(fcc_octagon(layers=5, half_width=3), params=SETTINGS, axial_strain=0.0055)
-    found = friction_map(test, WindowMean())
-    total = float(gradient(test, WindowMean(), "f", check=False).by_value["friction"])
-    assert found.total == pytest.approx(total, rel=1e-6)
-    assert found.sensitivity.shape == (len(test.cut),)
-    # One ball by a difference.
-    ball, h = int(np.abs(found.sensitivity).argmax()), 1e-4
-    pair = [
-        float(
-            WindowMean()(
-                test.simulate(replace(test.params, friction=0.12278 + sign * h * jnp.eye(len(test.cut))[ball]))
-            )
-        )
-        for sign in (1, -1)
-    ]
-    assert found.sensitivity[ball] == pytest.approx((pair[0] - pair[1]) / (2 * h), rel=1e-2)
-    assert found.draw(tmp_path / "map.png").stat().st_size > 5000
-    with pytest.raises(ValueError, match="one a ball"):
-        friction_map(test, WindowMean(), np.ones(3))
+def test_reverse_mode_in_a_process_of_its_own(tmp_path):
+    """The map of sensitivities adds up to the tangent, and a friction of every ball moves towards the data."""
+    script = Path(__file__).with_name("calibrate_reverse_mode.py")
+    plain = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+    done = subprocess.run([sys.executable, script, tmp_path], env=plain, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
-PEAKS = (WindowMean(0.0025, 0.004), HardPeak(), StrainAtPeak(), InitialSlope())
-# Largest gap to the best central difference, to friction and to log kn. At f = 0.12278 all of them; elsewhere those to
-# friction: past the peak at f = 0.3 the derivative to log kn is off by 12 % (small itself, and made of kinks).
-TO_FRICTION, TO_STIFFNESS = (2e-3, 1e-2, 1e-2, 1e-2), (1e-2, 2e-2, 1e-2, 1e-2)
+PEAKS = {"window": WindowMean(0.0025, 0.004), "hard": HardPeak(), "strain": StrainAtPeak(), "slope": InitialSlope()}
+LIMITS = {"window": (2e-3, 1e-2), "hard": (1e-2, 1e-2), "strain": (1e-2, 1e-2), "slope": (1e-2, 1e-2)}
+# At f = 0.3 the tangent is right up to 0.3 % strain and parts at the top, where contacts that had opened close again:
+# their dashpots jump, a step in time that no tangent of a time-stepping program sees. So the window ends before.
+PEAKS_STRONG = PEAKS | {"window": WindowMean(0.002, 0.003)}
+LIMITS_STRONG = LIMITS | {"hard": (1e-2, 3e-2), "strain": (np.inf, np.inf)}
 
 
 @pytest.fixture(scope="module")
 def paper_model():
     """The paper's quarter with dashpots of 0.2, 0.02 a platen and three quarters of the critical time step."""
-    first = TriaxialTest(fcc_octagon(), params=SETTINGS, axial_strain=0.0055)
+    first = TriaxialTest(fcc_octagon(), params=SETTINGS, axial_strain=0.0045)
     test = replace(first, time_step=0.75 / 0.6 * first.time_step)
     return Model(test, "f,kn", hold_time_step=False)
+
+
+def gaps_to_differences(found, place) -> dict[str, float]:
+    """By parameter, the relative gap of one target's derivative to the best central difference."""
+    return {
+        name: min(abs(float(slope[place] / found.by_value[name][place]) - 1) for slope in differences.values())
+        for name, differences in found.health.differences.items()
+    }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.05, 0.12278, 0.2, 0.3])
 def test_paper_specimen_against_differences(paper_model, friction):
-    def functional(curve):
-        return jnp.stack([one(curve) for one in PEAKS])
+    peaks, limits = (PEAKS_STRONG, LIMITS_STRONG) if friction == 0.3 else (PEAKS, LIMITS)
 
-    found = gradient(paper_model, functional, values={"f": friction}, steps=(3e-3, 1e-3, 3e-4))
-    whole = friction == 0.12278
-    wanted = {"friction": TO_FRICTION if whole else TO_FRICTION[:2], "normal_stiffness": TO_STIFFNESS if whole else ()}
-    for name, limits in wanted.items():
-        differences = found.health.differences[name]
-        for place, (peak, limit) in enumerate(zip(PEAKS, limits, strict=False)):
-            gaps = {h: abs(float(found.by_value[name][place] / slope[place]) - 1) for h, slope in differences.items()}
-            print(f"f = {friction}: d({peak.name})/d({name}) = {float(found.by_value[name][place]):.5g}, gaps {gaps}")
-            assert min(gaps.values()) < limit, (name, peak, gaps)
+    def functional(curve):
+        return jnp.stack([one(curve) for one in peaks.values()])
+
+    found = gradient(paper_model, functional, values={"f": friction}, steps=(1e-3, 3e-4))
+    for place, (kind, peak) in enumerate(peaks.items()):
+        gaps = gaps_to_differences(found, place)
+        print(f"f = {friction}: {peak.name}: gaps {gaps}")
+        for (name, gap), limit in zip(gaps.items(), limits[kind], strict=True):
+            assert gap < limit, (peak.name, name, gap)
+
+
+@pytest.fixture(scope="module")
+def lattice_model():
+    """The blocked lattice of tests/validation/test_thornton.py."""
+    specimen, sector = fcc_octagon(), Sector(4)
+    test = TriaxialTest(
+        specimen,
+        sector,
+        scene=Scene(rotation=False),
+        params=Params(normal_stiffness=1.5e10, shear_stiffness=1.5e10, platen_speed=0.002),
+        axial_strain=0.0006,
+        lateral_load=lattice_load(specimen, sector),
+    )
+    return Model(test, "f", hold_time_step=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("friction", [0.05, 0.12278, 0.2, 0.3])
+def test_lattice_without_rotation_has_the_slope_of_the_formula(lattice_model, friction):
+    """dR/df of the plateau is 4/(1-f)^2 to 1 %. The hard maximum is the crest of a ripple of 0.1 %, whose own slope
+    is up to 8 % off the formula's; there the tangent is held against differences only."""
+    peaks = (WindowMean(4e-4, 5.9e-4), HardPeak())
+
+    def functional(curve):
+        return jnp.stack([one(curve) for one in peaks])
+
+    found = gradient(lattice_model, functional, values={"f": friction}, steps=(3e-4,))
+    assert float(found.by_value["friction"][0]) == pytest.approx(4 / (1 - friction) ** 2, rel=1e-2)
+    for place, limit in ((0, 2e-3), (1, 1e-2)):
+        assert gaps_to_differences(found, place)["friction"] < limit

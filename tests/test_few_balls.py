@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from few_balls import FAR, PLANE, constant_load, few_balls, jit, no_load, order_of, record, run, unit_params
+from scipy.spatial.transform import Rotation
 
 from axijax.contact import Law, contact_forces
 from axijax.dynamics import Scene
@@ -118,6 +119,18 @@ def test_dashpots_that_never_pull_restore_the_closed_form(beta):
     states = record(scene, params, network, no_load(network), steps[0], state, 200)
     pressed = (np.diff(np.asarray(states.velocity.x[:, 0])) != 0).sum() * steps[0]
     assert pressed == pytest.approx(duration, abs=2 * steps[0])
+
+
+@pytest.mark.parametrize("friction", [True, False])
+@pytest.mark.parametrize("beta", [0.1, 0.3])
+def test_dashpots_of_platens_and_planes_restore_the_closed_form(beta, friction):
+    """The same e for a ball on a platen, whose dashpot has the ball's whole mass, and on a ball that acts as a plane."""
+    scene, params, dt = Scene(friction=friction), unit_params(damping_ratio=beta), 1e-3
+    expected = float(dashpot_restitution(beta))
+    network, state = few_balls(scene, [[0.3], [0.4], [1 + 1e-4]], [[0], [0], [-SPEED]], platens=(0, 1e3))
+    end = run(scene, params, network, no_load(network), dt, 4000, state)
+    assert float(end.velocity.z[0]) / SPEED == pytest.approx(expected, rel=1e-3)
+    assert after_impact(scene, params, dt, 4.0)[0] / SPEED == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize("a", [0.3, 0.7])
@@ -409,6 +422,36 @@ def test_way_to_and_fro_with_slip_costs_the_area_of_the_loop():
 
     expected = 4 * f * push * (amplitude - f * push / 0.8)
     assert work(3) - work(2) == pytest.approx(expected, rel=1e-3)
+
+
+def test_spring_turns_with_the_contact_plane():
+    """A sheared pair turned rigidly, by 90 degrees about an axis across the line of centres: the force turns with it,
+    with an error of the first order in the turn of one step."""
+    place = np.array([[0.99, -0.99], [0, 0], [0, 0]])
+    network, _ = few_balls(Scene(), place, np.zeros((3, 2)))
+    law, axis = Law(1.0, 0.8, 10.0, None, None), np.array([0.0, 0.6, 0.8])
+    sheared = 1e-3 * np.array([0.0, 1.0, -0.3])  # along the axis and across it
+    move = jit(contact_forces)
+
+    def turned(angle, vectors):
+        return Rotation.from_rotvec(angle * axis).as_matrix() @ vectors
+
+    def error(count):
+        spring = from_rows(np.outer(sheared, np.arange(network.first.size) == 0))
+        angle = np.pi / 2 / count
+        # The law lets surfaces meet at a full radius from either centre, 1 % beyond the contact: turn them less.
+        surface_speed = from_rows(np.outer(0.99 * angle * axis, [1.0, 1.0]))
+        for i in range(count):
+            before, now = turned(i * angle, place), turned((i + 1) * angle, place)
+            made = move(law, network, 1.0, from_rows(now - place), from_rows(now - before), surface_speed, spring)
+            spring = made.spring
+        expected = turned(np.pi / 2, [0.02, 0, 0] - 0.8 * sheared)
+        return np.abs(np.asarray(made.force)[:, 0] - expected).max()
+
+    counts = [200, 400, 800]
+    errors = [error(count) for count in counts]
+    assert errors[-1] < 0.02 * 0.8e-3
+    assert order_of(counts, errors) == pytest.approx(-1.0, abs=0.1)
 
 
 # Energy.

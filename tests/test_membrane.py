@@ -77,14 +77,13 @@ def voronoi_areas(specimen, sector):
     points = specimen.positions[:, specimen.membrane_zone]
     rho, theta = np.hypot(points[0], points[1]), np.mod(np.arctan2(points[1], points[0]), 2 * np.pi)
     middle = (rho.min() + rho.max()) / 2
-    width, height = middle * sector.angle, specimen.height
-    period = middle * sector.angle
+    width, height, rigid = middle * sector.angle, specimen.height, sector.boundary == "rigid"
 
     def copies(values, length, mirrored):
         shifts = np.arange(-2, 3)[:, None] * length * (2 if mirrored else 1)
         return np.concatenate([values + shifts, -values + shifts]) if mirrored else values + shifts
 
-    x = copies(np.mod(middle * theta, period) if sector.boundary == "periodic" else middle * theta, width, sector.boundary == "rigid")
+    x = copies(middle * theta if rigid else np.mod(middle * theta, width), width, rigid)
     z = specimen.bottom + copies(points[2] - specimen.bottom, height, True)
     everywhere = np.stack([np.broadcast_to(a, (x.shape[0], z.shape[0], x.shape[1])) for a in (x[:, None], z[None])], -1)
     diagram = Voronoi(everywhere.reshape(-1, 2))
@@ -161,7 +160,7 @@ def test_few_balls_tile_the_strip_or_are_refused(name, sector):
 
 
 def test_two_balls_at_one_place_are_refused():
-    with pytest.raises(ValueError, match="membrane_zone: ball [01] .* same place"):
+    with pytest.raises(ValueError, match=r"membrane_zone: ball [01] .* same place"):
         build_membrane(zone_specimen(np.array([0.3, 0.3, 1.0]), np.array([4.0, 4.0, 6.0])), Sector(4))
 
 
@@ -175,7 +174,7 @@ def test_areas_are_those_of_the_voronoi_polygons(sector, seed):
 @pytest.mark.parametrize("on_plate", [False, True])
 @pytest.mark.parametrize("order", [1, 4])
 def test_equal_balls_on_a_grid_have_equal_cells(order, on_plate):
-    """Each cell is one mesh of the grid, half a mesh for a ball whose centre is on a platen; theta = 0 is no exception."""
+    """Each cell is one mesh of the grid, half a mesh for a centre on a platen; theta = 0 is no exception."""
     sector = Sector(order)
     areas = areas_of(lattice(sector, 4, 5, on_plate), sector).reshape(5, 4)
     mesh = 10 * sector.angle / 4 * HEIGHT / (4 if on_plate else 5)
@@ -263,7 +262,8 @@ def test_cells_are_voronoi_cells_with_a_ball_squeezed_out_too(seed):
     squeezed = replace(specimen, positions=positions)
     membrane = membrane_of(squeezed, sector)
     rho = np.delete(np.hypot(*positions[:2]), 4)
-    assert float(membrane_radius(membrane, from_rows(positions))) == pytest.approx((rho.min() + rho.max()) / 2, rel=1e-12)
+    middle = (rho.min() + rho.max()) / 2
+    assert float(membrane_radius(membrane, from_rows(positions))) == pytest.approx(middle, rel=1e-12)
     assert float(fast_stale(membrane, from_rows(positions), 0.0, HEIGHT)) < 1e-12
     positions[:2, 4] *= rho.min() / np.hypot(*positions[:2, 4])  # to a place where it does not change Rm
     expected = voronoi_areas(replace(specimen, positions=positions), sector)

@@ -231,7 +231,7 @@ def test_pair_orbiting_across_the_planes_moves_as_without_a_sector(free_orbit, o
 
 @pytest.mark.parametrize("order", [2, 3, 4, 6, 12])
 def test_pair_near_a_plane_feels_the_force_of_the_pair_turned_into_the_interior(order):
-    """Same force, moment and new spring, whatever velocities, spins and spring the pair has when it straddles a plane."""
+    """Same force, moment and new spring, whatever velocities, spins and spring a pair across a plane has."""
     rng = np.random.default_rng(order)
     sector = Sector(order)
     straddling = (rng.normal(size=(3, 2)), 0.01 * rng.normal(size=(3, 2)), 0.01 * rng.normal(size=(3, 2)))
@@ -296,7 +296,8 @@ def test_rigid_swirl_makes_no_force(order, friction):
     viscosity = 2 * PARAMS.damping_ratio * np.sqrt(PARAMS.shear_stiffness / 2)
     slack = 12 * (PARAMS.shear_stiffness * STEP + viscosity) * rate * overlap if friction else 0.0
     assert slack < 0.2 * viscosity * rate * 2, "far below what a slip at a ball's own swirl would give"
-    np.testing.assert_allclose(np.asarray(found.resultant), turn @ np.asarray(expected.resultant), rtol=0, atol=1e-14 + slack)
+    resultants = [np.asarray(forces.resultant) for forces in (found, expected)]
+    np.testing.assert_allclose(resultants[0], turn @ resultants[1], rtol=0, atol=1e-14 + slack)
     if friction:
         np.testing.assert_allclose(np.asarray(found.moment), 0, atol=1e-14 + slack)
 
@@ -363,7 +364,7 @@ def test_ball_protruding_from_both_planes(order):
 
 @pytest.mark.parametrize("order", [2, 5])
 def test_balls_with_their_centre_on_the_axis(order):
-    """Type F: two of them stacked on the axis meet each other once, each neighbour under all n images, and stay there."""
+    """Type F: two of them on the axis meet each other once, each neighbour under all n images, and stay there."""
     sector = Sector(order)
     height = np.sqrt(1.99**2 - 1.8**2)
     specimen = specimen_of(polar((0, 0, 0), (0, 0, 1.99), (1.8, 20, -height), (1.8, 30, 1.99 + height)))
