@@ -38,7 +38,9 @@ class Contacts(NamedTuple):
     """What the law makes of every contact; (C,) arrays in the frame of the contact's first ball.
 
     force: on the first ball [F].
-    moment_arm: normal x tangential force; times its radius the moment on either ball [F]. None without friction.
+    moment_arm: force x branch over the sum of the radii; times its radius the moment on either ball [F]. None without
+        friction. Arms shortened by the overlap, in slip and moment alike, make a rigid turn of the pair free of slip
+        and keep its angular momentum.
     spring: tangential spring after this step [L]; None without friction.
     """
 
@@ -51,11 +53,13 @@ class Geometry(NamedTuple):
     """Where the two balls of every contact are; (C,).
 
     apart: vector from the second ball to the first [L].
+    per_reach: one over the sum of the radii [1/L].
     overlap: positive where they touch [L]. Found from the change since the list was built, so that float32 does
         not lose it in the difference of two large distances.
     """
 
     apart: Vector
+    per_reach: jax.Array
     overlap: jax.Array
 
 
@@ -65,7 +69,7 @@ def geometry(network: Network, displacement: Vector) -> Geometry:
     apart = network.branch + change
     distance = jnp.sqrt(apart.dot(apart))
     longer = (2 * network.branch.dot(change) + change.dot(change)) / (distance + network.distance)
-    return Geometry(apart, network.overlap - longer)
+    return Geometry(apart, 1 / (network.distance + network.overlap), network.overlap - longer)
 
 
 def linear_law(params, network: Network, mass_per_cube, *, dashpots: bool) -> Law:
@@ -126,7 +130,7 @@ def _evaluate(law: Law, dt, place: Geometry, approach: Vector, rolling: Vector |
     normal_speed = approach.dot(normal)
     slip_rate = approach - normal * normal_speed
     if rolling is not None:
-        slip_rate = slip_rate - rolling.cross(normal)
+        slip_rate = slip_rate - rolling.cross(place.apart) * place.per_reach
     push = law.normal_stiffness * place.overlap
     if law.normal_viscosity is not None:
         push = push - law.normal_viscosity * normal_speed
@@ -148,7 +152,7 @@ def _evaluate(law: Law, dt, place: Geometry, approach: Vector, rolling: Vector |
         inverse, normal, normal_speed, slip_rate, touching, pressing, push, twist, trial_spring, trial, sliding,
         per_size, scale,
     )  # fmt: skip
-    return (force, force.cross(normal), trial_spring * scale), shared
+    return (force, force.cross(place.apart) * place.per_reach, trial_spring * scale), shared
 
 
 @partial(jax.custom_jvp)
@@ -185,7 +189,9 @@ def _frictional_law_jvp(primals, tangents):
     normal_speed_d = approach_d.dot(normal) + approach.dot(normal_d)
     slip_rate_d = approach_d - normal * normal_speed_d - normal_d * normal_speed
     if rolling is not None:
-        slip_rate_d = slip_rate_d - moving(rolling_d, rolling).cross(normal) - rolling.cross(normal_d)
+        rolling_d = moving(rolling_d, rolling)
+        arm_d = rolling_d.cross(place.apart) + rolling.cross(place_d.apart)
+        slip_rate_d = slip_rate_d - arm_d * place.per_reach
     push_d = plus(law.normal_stiffness * place_d.overlap, law_d.normal_stiffness, place.overlap)
     if law.normal_viscosity is not None:
         push_d = plus(push_d - law.normal_viscosity * normal_speed_d, law_d.normal_viscosity, -normal_speed)
@@ -201,7 +207,7 @@ def _frictional_law_jvp(primals, tangents):
     force_d = normal_d * push + normal * push_d - trial_d * scale - trial * scale_d
     return results, (
         force_d,
-        force_d.cross(normal) + force.cross(normal_d),
+        (force_d.cross(place.apart) + force.cross(place_d.apart)) * place.per_reach,
         trial_spring_d * scale + trial_spring * scale_d,
     )
 

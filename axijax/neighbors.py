@@ -159,7 +159,7 @@ def build_network(
         sin=padded(sin, 0.0),
         branch=from_rows([padded(branch[0], far), padded(branch[1], 0.0), padded(branch[2], 0.0)]),
         distance=padded(distance, far),
-        overlap=padded(overlap, -far),
+        overlap=padded(overlap, 2 * radius.max() - far),
         pair_cube=jnp.asarray(radius[0] ** 3 / 2, dtype) if equal else padded(cubes[0] * cubes[1] / sum(cubes), 1.0),
         share=padded(share, 0.0),
         slot=slots(contact, length - 1, np.int32),

@@ -371,7 +371,7 @@ def redraw(folder: Path) -> None:
 
 
 def report(label, condition, methods) -> None:
-    print(f"\n({label}), {condition}")
+    print(f"\n({label}), {condition}, {max(map(len, methods.values()))} starts")
     print(f"{'method':26s}{'median runs':>12s}{'at stop':>9s}{'solved':>8s}{'right at stop':>15s}{'s a fit':>9s}")
     for name, rows in methods.items():
         first, stop = np.array([row[4] for row in rows]), np.array([row[5] for row in rows])
@@ -407,7 +407,7 @@ def draw(curves, path: Path) -> None:
             xlim=(1, 250),
             ylim=(-0.02, 1.05),
             xlabel="forward-equivalent runs",
-            title=f"({label}), {condition}",
+            title=f"({label}), {condition}, {max(map(len, methods.values()))} starts",
         )
     panels[0].set_ylabel("fraction of starts solved; dots: right at its own stop")
     panels[0].legend(frameon=False, fontsize="small")

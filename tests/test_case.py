@@ -58,5 +58,5 @@ def test_bad_cases_get_one_sentence(tmp_path, text, words):
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(ValueError, match="nowhere.toml' cannot be read"):
+    with pytest.raises(ValueError, match=r"nowhere\.toml' cannot be read"):
         load_case(tmp_path / "nowhere.toml")

@@ -124,7 +124,7 @@ def test_dashpots_that_never_pull_restore_the_closed_form(beta):
 @pytest.mark.parametrize("friction", [True, False])
 @pytest.mark.parametrize("beta", [0.1, 0.3])
 def test_dashpots_of_platens_and_planes_restore_the_closed_form(beta, friction):
-    """The same e for a ball on a platen, whose dashpot has the ball's whole mass, and on a ball that acts as a plane."""
+    """The same e for a ball on a platen, whose dashpot has the ball's whole mass, and on a ball that is a plane."""
     scene, params, dt = Scene(friction=friction), unit_params(damping_ratio=beta), 1e-3
     expected = float(dashpot_restitution(beta))
     network, state = few_balls(scene, [[0.3], [0.4], [1 + 1e-4]], [[0], [0], [-SPEED]], platens=(0, 1e3))
@@ -426,7 +426,7 @@ def test_way_to_and_fro_with_slip_costs_the_area_of_the_loop():
 
 def test_spring_turns_with_the_contact_plane():
     """A sheared pair turned rigidly, by 90 degrees about an axis across the line of centres: the force turns with it,
-    with an error of the first order in the turn of one step."""
+    with an error of at least first order in the turn of one step."""
     place = np.array([[0.99, -0.99], [0, 0], [0, 0]])
     network, _ = few_balls(Scene(), place, np.zeros((3, 2)))
     law, axis = Law(1.0, 0.8, 10.0, None, None), np.array([0.0, 0.6, 0.8])
@@ -439,8 +439,7 @@ def test_spring_turns_with_the_contact_plane():
     def error(count):
         spring = from_rows(np.outer(sheared, np.arange(network.first.size) == 0))
         angle = np.pi / 2 / count
-        # The law lets surfaces meet at a full radius from either centre, 1 % beyond the contact: turn them less.
-        surface_speed = from_rows(np.outer(0.99 * angle * axis, [1.0, 1.0]))
+        surface_speed = from_rows(np.outer(angle * axis, [1.0, 1.0]))
         for i in range(count):
             before, now = turned(i * angle, place), turned((i + 1) * angle, place)
             made = move(law, network, 1.0, from_rows(now - place), from_rows(now - before), surface_speed, spring)
@@ -450,8 +449,8 @@ def test_spring_turns_with_the_contact_plane():
 
     counts = [200, 400, 800]
     errors = [error(count) for count in counts]
-    assert errors[-1] < 0.02 * 0.8e-3
-    assert order_of(counts, errors) == pytest.approx(-1.0, abs=0.1)
+    assert errors[-1] < 5e-3 * 0.8e-3
+    assert order_of(counts, errors) < -0.9
 
 
 # Energy.

@@ -22,6 +22,7 @@ def test_jitted_vmap_of_a_small_product_then_a_sum(rows):
 
 def test_import_leaves_heavy_packages_alone():
     """jax-md takes seconds to import, matplotlib and xarray one each: only what uses them imports them."""
-    code = "import sys, axijax, calibrate; print([m for m in ('jax_md', 'matplotlib', 'xarray', 'optax') if m in sys.modules])"
+    heavy = ("jax_md", "matplotlib", "xarray", "optax", "pydantic", "typer")
+    code = f"import sys, axijax, calibrate; print([m for m in {heavy} if m in sys.modules])"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"

@@ -1,4 +1,4 @@
-"""Every Python block of the README runs, one after another as a reader would paste them; its commands are what CI runs."""
+"""Every Python block of the README runs, one after another as a reader would paste them."""
 
 import re
 import subprocess

@@ -17,7 +17,7 @@ def window_mean(curve, low, high):
 
 @pytest.mark.slow
 def test_friction_derivative_of_the_peak_of_the_quarter():
-    """dR/df of the mean over the flat top: jvp against central differences to 5e-3, and near 4/(1-f)^2 of the lattice."""
+    """dR/df of the mean over the flat top: jvp against central differences to 5e-3, and near the lattice's."""
     test = TriaxialTest(fcc_octagon(), Sector(4), axial_strain=0.0055)
 
     @jax.jit
