@@ -166,12 +166,13 @@ def _slip_work(params: Params, network: Network, forces: Forces, dt, state: Stat
 
 def _relative_motion(network: Network, state: State, velocity: Vector, spin: Vector | None) -> tuple[Vector, Vector]:
     """Normals of the contacts, and the velocity of the first ball's surface against the second's; (C,) vectors."""
-    apart = geometry(network, state.displacement).apart
-    normal = apart * (1 / jnp.sqrt(apart.dot(apart)))
+    place = geometry(network, state.displacement)
+    normal = place.apart * (1 / jnp.sqrt(place.apart.dot(place.apart)))
     relative = network.of_first(velocity) - network.of_second(velocity)
     if spin is not None:
         surface = spin * network.radius
-        relative = relative - (network.of_first(surface) + network.of_second(surface)).cross(normal)
+        rolling = network.of_first(surface) + network.of_second(surface)
+        relative = relative - rolling.cross(place.apart) * place.per_reach
     return normal, relative
 
 
