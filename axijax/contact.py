@@ -144,9 +144,10 @@ def _evaluate(law: Law, dt, place: Geometry, approach: Vector, rolling: Vector |
         trial = trial + slip_rate * law.shear_viscosity
     square, limit = trial.dot(trial), law.friction * push
     sliding = square > limit * limit
-    # The square root only where something slides: at a resting contact it would be 0/0, in value and tangent.
-    per_size = 1 / jnp.sqrt(jnp.where(sliding, square, 1.0))
-    scale = jnp.where(touching, jnp.where(sliding, limit * per_size, 1.0), 0.0)
+    # Without slip it would be 0/0, in value and tangent. The cap is a minimum, not a choice by `sliding`: the compiler
+    # makes a condition anew wherever it is used, rounded differently, so two choices by it need not agree.
+    per_size = 1 / jnp.sqrt(jnp.where(square > 0, square, 1.0))
+    scale = jnp.where(touching, jnp.minimum(limit * per_size, 1.0), 0.0)
     force = normal * push - trial * scale
     shared = (
         inverse, normal, normal_speed, slip_rate, touching, pressing, push, twist, trial_spring, trial, sliding,

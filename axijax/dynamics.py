@@ -121,7 +121,8 @@ class State(NamedTuple):
     velocity: (N,) vectors at t - dt/2 [L/T].
     spin: (N,) angular velocities at t - dt/2 [1/T]; None where nothing spins.
     spring: (C,) tangential springs of the contacts [L]; None without friction.
-    platens: (2,) heights of the bottom and the top platen at t [L].
+    platens: (2,) heights of the bottom and the top platen at t, float64 whatever the rest is: a step moves them by
+        less than the rounding of a float32 height [L].
     platen_speeds: (2,) their velocities at t - dt/2 [L/T], upward positive.
     time: () since the stage began [T].
     """
@@ -158,9 +159,9 @@ def initial_state(network: Network, scene: Scene, platens: jax.Array) -> State:
         velocity=still,
         spin=still if scene.spins else None,
         spring=zeros(network.first.shape, network.dtype) if scene.friction else None,
-        platens=jnp.asarray(platens, network.dtype),
+        platens=jnp.asarray(platens, jnp.float64),
         platen_speeds=jnp.zeros(2, network.dtype),
-        time=jnp.zeros((), network.dtype),
+        time=jnp.zeros((), jnp.float64),
     )
 
 
@@ -184,7 +185,9 @@ def all_forces(scene: Scene, params: Params, network: Network, load: Load, dt, s
     force, moment = resultants(contacts, network)
     place = positions(network, state)
     viscosity = 2 * params.damping_ratio * jnp.sqrt(params.platen_stiffness * mass) if dashpots else None
-    push = platen_forces(params, network, place.z, state.velocity.z, state.platens, state.platen_speeds, viscosity)
+    push = platen_forces(
+        params, network, state.displacement.z, state.velocity.z, state.platens, state.platen_speeds, viscosity
+    )
     sideways = lateral_force(params.confining_stress, load, place)
     if network.sector.boundary == "rigid":
         sideways = sideways + sector_plane_force(params, network, place, state.velocity, viscosity)
@@ -206,14 +209,9 @@ def make_step(scene: Scene, drive: PlatenDrive):
 
     def step(params: Params, network: Network, load: Load, dt, state: State) -> State:
         forces = all_forces(scene, params, network, load, dt, state)
-        mass = mass_per_cube(params) * network.radius**3
         push = jnp.stack([(side * network.weight).sum() for side in forces.platen_push])
         platen_speeds = drive(params, state, dt, push, load.section)
-        advance = partial(_advance, scene, params, dt, positions(network, state))
-        velocity = advance(state.velocity, forces.resultant, 1 / mass)
-        spin = state.spin
-        if spin is not None and forces.moment is not None:
-            spin = advance(spin, forces.moment, 1 / (0.4 * mass * network.radius**2))
+        velocity, spin = next_motion(scene, params, network, dt, state, forces)
         return State(
             displacement=state.displacement + velocity * dt,
             velocity=velocity,
@@ -225,6 +223,16 @@ def make_step(scene: Scene, drive: PlatenDrive):
         )
 
     return step
+
+
+def next_motion(scene: Scene, params: Params, network: Network, dt, state: State, forces: Forces):
+    """Velocities and spins (or None) at t + dt/2 from the forces at t; (N,) vectors [L/T], [1/T]."""
+    mass = mass_per_cube(params) * network.radius**3
+    advance = partial(_advance, scene, params, dt, positions(network, state))
+    velocity = advance(state.velocity, forces.resultant, 1 / mass)
+    if state.spin is None or forces.moment is None:
+        return velocity, None
+    return velocity, advance(state.spin, forces.moment, 1 / (0.4 * mass * network.radius**2))
 
 
 def _advance(scene: Scene, params: Params, dt, place: Vector, motion: Vector, force: Vector, per_inertia) -> Vector:
@@ -248,10 +256,10 @@ def _advance(scene: Scene, params: Params, dt, place: Vector, motion: Vector, fo
 def critical_time_step(scene: Scene, params: Params, network: Network, touching_within: float = 1e-3) -> float:
     """Largest stable time step 2/omega (sqrt(1 + xi^2) - xi) of the actual network [T] (host).
 
-    omega is the largest frequency of the linearised system with every contact stuck, translations and spins
-    together, found by a sparse eigenvalue solver; xi is that mode's damping ratio from the dashpots, which lower
-    the limit (O'Sullivan & Bray 2004 for the undamped part). Contacts count as closed where the gap is below
-    touching_within of the ball's radius.
+    The least over all modes of the linearised system with every contact stuck, translations and spins together:
+    frequency omega, damping ratio xi from the dashpots, which lower the limit (O'Sullivan & Bray 2004 for the
+    undamped part). Found by a sparse eigenvalue solver. With dashpots it need not be the fastest mode's: where
+    ks < kn they damp spins more. Contacts count as closed where the gap is below touching_within of the ball's radius.
     """
     from scipy.sparse.linalg import LinearOperator, eigsh
 
@@ -314,12 +322,29 @@ def critical_time_step(scene: Scene, params: Params, network: Network, touching_
         return (result.reshape(-1, count) * scale * free).ravel()
 
     size = scale.size
-    operator = LinearOperator((size, size), lambda v: apply(v, *stiffness, np.full(count, wall)), dtype=float)
-    start = np.random.default_rng(0).standard_normal(size)
-    values, modes = eigsh(operator, k=1, which="LA", v0=start, tol=1e-6)
-    omega = float(np.sqrt(max(values[0], 0.0)))
-    if omega == 0:
-        raise ValueError("critical time step: no contact is closed, so there is no frequency to resolve.")
     wall_viscosity = 2 * beta * np.sqrt(wall * mass)
-    xi = float(modes[:, 0] @ apply(modes[:, 0], normal_viscosity, shear_viscosity, wall_viscosity)) / (2 * omega)
-    return 2 / omega * (np.sqrt(1 + xi**2) - xi)
+
+    def stiff(vector):
+        return apply(vector, *stiffness, np.full(count, wall))
+
+    def viscous(vector):
+        return apply(vector, normal_viscosity, shear_viscosity, wall_viscosity)
+
+    start = np.random.default_rng(0).standard_normal(size)
+
+    def fastest(action):
+        operator = LinearOperator((size, size), action, dtype=float)
+        return eigsh(operator, k=1, which="LA", v0=start, tol=1e-6)[1][:, 0]
+
+    # At the limit dt a mode changes sign at every step, (dt^2 K + 2 dt C) u = 4 M u. Any u gives an upper bound; that
+    # of the largest eigenvalue at the last bound gives a better one, until none does. Without dashpots the first is it.
+    mode = fastest(stiff)
+    step = np.inf
+    while True:
+        square, rate = mode @ stiff(mode), mode @ viscous(mode)
+        if square <= 0:
+            raise ValueError("critical time step: no contact is closed, so there is no frequency to resolve.")
+        last, step = step, float(4 / (rate + np.sqrt(rate**2 + 4 * square)))
+        if rate == 0 or step > last * (1 - 1e-6):
+            return min(step, last)
+        mode = fastest(lambda vector, dt=step: dt * stiff(vector) + 2 * viscous(vector))

@@ -5,11 +5,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from axijax.contact import contact_friction, geometry
-from axijax.dynamics import Forces, Params, Scene, State, all_forces, positions
+from axijax.contact import Geometry, contact_friction, geometry
+from axijax.dynamics import Forces, Params, Scene, State, all_forces, next_motion, positions
 from axijax.membrane import Load, Membrane, lateral_force, membrane_radius
 from axijax.neighbors import Network
 from axijax.sector import radial_distance
+from axijax.vector import Vector
 
 
 class Observation(NamedTuple):
@@ -23,6 +24,7 @@ class Observation(NamedTuple):
     coordination_number: mean number of touching contacts of a ball, platens not counted [-].
     unbalanced_force: mean resultant on a ball over mean contact force [-].
     sliding_fraction: share of the touching contacts at the Coulomb limit [-].
+    chatter: how far contacts move to and fro from one step to the next, see `chatter` [-].
     """
 
     stress_ratio: jax.Array
@@ -33,6 +35,7 @@ class Observation(NamedTuple):
     coordination_number: jax.Array
     unbalanced_force: jax.Array
     sliding_fraction: jax.Array
+    chatter: jax.Array
 
 
 def observe(
@@ -68,7 +71,44 @@ def observe(
         coordination_number=2 * number / network.weight.sum(),
         unbalanced_force=(resultant * network.weight).sum() / network.weight.sum() / jnp.maximum(mean_force, 1e-300),
         sliding_fraction=sliding,
+        chatter=chatter(scene, params, network, dt, state, forces, branch, normal),
     )
+
+
+def chatter(scene: Scene, params: Params, network: Network, dt, state: State, forces: Forces, branch: Geometry, normal):
+    """How far contacts move to and fro from one step to the next, against what their springs hold [-].
+
+    -sum(u . u') / sum(s^2) over the touching contacts, u and u' being the slips of this step and of the next, s the
+    slip at the Coulomb limit f kn overlap / ks; likewise for the approach in the normal direction, with the overlap for
+    s. The larger of the two. A mode that is too fast for the time step changes sign at every step, and all that the
+    Coulomb cap leaves of it is this. Slips of a sound run go on as they began: it stays below zero, or within rounding
+    of it. It has no derivative.
+    """
+    params, state, forces, branch, normal = jax.lax.stop_gradient((params, state, forces, branch, normal))
+
+    def moved(velocity: Vector, spin: Vector | None) -> tuple[Vector, jax.Array]:
+        relative = network.of_first(velocity) - network.of_second(velocity)
+        if spin is not None:
+            surface = spin * network.radius
+            turning = network.of_first(surface) + network.of_second(surface)
+            relative = relative - turning.cross(branch.apart) * branch.per_reach
+        approach = relative.dot(normal)
+        return (relative - normal * approach) * dt, approach * dt
+
+    slip, approach = moved(state.velocity, state.spin)
+    next_slip, next_approach = moved(*next_motion(scene, params, network, dt, state, forces))
+    overlap = jnp.maximum(branch.overlap, 0.0)
+    touching = (overlap > 0) * network.share
+
+    def reversing(product, scale):
+        squares = (touching * scale**2).sum()
+        return jnp.where(squares > 0, -(touching * product).sum() / jnp.where(squares > 0, squares, 1.0), 0.0)
+
+    along = reversing(approach * next_approach, overlap)
+    if state.spring is None:
+        return along
+    limit = contact_friction(params, network) * overlap * (params.normal_stiffness / params.shear_stiffness)
+    return jnp.maximum(along, reversing(slip.dot(next_slip), limit))
 
 
 def core_stress_ratio(network: Network, forces: Forces, normal, place, radius, platens) -> jax.Array:

@@ -18,17 +18,18 @@ def wall_force(gap, closing_speed, stiffness, viscosity):
     return jnp.where((gap < 0) & (force > 0), force, 0.0)
 
 
-def platen_forces(params, network: Network, height, speed, platens, platen_speeds, viscosity):
+def platen_forces(params, network: Network, rise, speed, platens, platen_speeds, viscosity):
     """Upward push of the bottom platen and downward push of the top one on each ball, (N,) each, positive [F].
 
-    height, speed: (N,) z of the ball centres [L] and their velocity [L/T].
+    rise, speed: (N,) z displacement of the balls [L] and their velocity [L/T].
     platens, platen_speeds: (2,) heights of the bottom and top platen [L] and their velocities [L/T].
     viscosity: (N,) dashpot constant [F T/L], or None.
     """
-    bottom = wall_force(
-        height - platens[0] - network.radius, platen_speeds[0] - speed, params.platen_stiffness, viscosity
-    )
-    top = wall_force(platens[1] - height - network.radius, speed - platen_speeds[1], params.platen_stiffness, viscosity)
+    # Heights are subtracted in the platens' float64: in float32 their rounding is not small against an overlap.
+    above = (network.positions.z - platens[0] - network.radius + rise).astype(network.dtype)
+    below = (platens[1] - network.positions.z - network.radius - rise).astype(network.dtype)
+    bottom = wall_force(above, platen_speeds[0] - speed, params.platen_stiffness, viscosity)
+    top = wall_force(below, speed - platen_speeds[1], params.platen_stiffness, viscosity)
     return bottom, top
 
 

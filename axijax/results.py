@@ -25,6 +25,7 @@ LONG_NAMES = {
     "coordination_number": "mean number of contacts of a ball",
     "unbalanced_force": "mean resultant over mean contact force",
     "sliding_fraction": "share of the contacts at the Coulomb limit",
+    "chatter": "motion of the contacts to and fro from step to step, against what their springs hold",
     "membrane_radius": "radius Rm through the middle of the membrane zone",
 }
 

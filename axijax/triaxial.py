@@ -8,10 +8,13 @@
 its `run` adds checks and a sentence for whatever went wrong.
 """
 
+import time
+import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -39,10 +42,12 @@ from axijax.vector import zeros
 
 SEGMENT = 1000  # steps between looks at the run from outside: progress, rebuilding, errors
 STALE = 1e-2  # largest share of the strip's area that may be counted to the wrong cell; rebuilt at a twentieth
+CHATTER = 1e-3  # `observe.chatter` of a sound run is below zero; above this, contacts chatter
+CHECKPOINT_SECONDS = 60.0  # between checkpoints, where they are asked for
 CONFINE_BLOCK = 50  # steps between looks at the balance, and between refreshes of the membrane, in confinement
 
 # Bits of the status code that a run carries; `raise_for_status` turns them into sentences.
-NOT_FINITE, NOT_CONFINED, STALE_LIST, STALE_CELLS, ESCAPED = 1, 2, 4, 8, 16
+NOT_FINITE, NOT_CONFINED, STALE_LIST, STALE_CELLS, ESCAPED, UNSTABLE = 1, 2, 4, 8, 16, 32
 
 REMEDIES = {
     NOT_FINITE: "a position is no longer finite: the run is unstable; lower time_step or check the parameters",
@@ -57,6 +62,10 @@ REMEDIES = {
         "and beyond 2 % use `run`, which triangulates again, not `simulate`"
     ),
     ESCAPED: "a ball has left the membrane or passed a platen; lower time_step or stop at a smaller axial_strain",
+    UNSTABLE: (
+        "contacts chatter from step to step at the peak of the stress ratio, which is then wrong: the time step is too "
+        "long for these parameters; lower time_step"
+    ),
 }
 
 
@@ -87,6 +96,7 @@ class Curve:
     coordination_number: jax.Array
     unbalanced_force: jax.Array
     sliding_fraction: jax.Array
+    chatter: jax.Array
     membrane_radius: jax.Array
     confinement: "Confinement"
     status: jax.Array
@@ -129,12 +139,14 @@ class TriaxialTest:
     scene: what is modelled.
     params: reference parameters; the time step and the ramp are chosen for these.
     axial_strain: where the test stops [-].
-    time_step: [T]; None takes 0.6 of the critical one.
+    time_step: [T]; None takes 0.6 of the critical one; more than 0.8 of it is refused.
     record_every: steps between records; the membrane's cells are found again as often.
     refresh: whether they are found again at all.
     confine_steps: most steps spent on confinement.
     tolerance: unbalanced force and stress error at which confinement ends [-].
     lateral_load: a constant load in place of the membrane's (see `membrane.Load`).
+    dtype: np.float64, or np.float32 (see the README's sharp bits).
+    allow_unsafe_step: accept any time step, to study what it does to a result.
 
     Raises ValueError for parameters, specimens and steps that make no sense.
     """
@@ -150,6 +162,8 @@ class TriaxialTest:
     confine_steps: int = 20_000
     tolerance: float = 1e-7
     lateral_load: Load | None = None
+    dtype: type = np.float64
+    allow_unsafe_step: bool = False
     network: Network = field(init=False, repr=False)
     membrane: Membrane = field(init=False, repr=False)
     cut: Specimen = field(init=False, repr=False)
@@ -169,23 +183,20 @@ class TriaxialTest:
             raise ValueError(f"confine_steps = {self.confine_steps!r}: must be at least 1 step.")
         if not (np.isfinite(self.tolerance) and self.tolerance > 0):
             raise ValueError(f"tolerance = {self.tolerance!r}: must be positive and finite [-].")
-        network = build_network(cut, self.sector)
+        network = build_network(cut, self.sector, dtype=self.dtype)
         limit = critical_time_step(self.scene, self.params, network)
         step = DEFAULT_STEP * limit if self.time_step is None else self.time_step
         if not (np.isfinite(step) and step > 0):
             raise ValueError(f"time_step = {step!r}: must be positive and finite [T].")
-        if step > SAFE_STEP * limit * (1 + 1e-9):
-            raise ValueError(
-                f"time_step = {step:.4g}: must be at most {SAFE_STEP:g} of the critical time step {limit:.4g}, that is "
-                f"{SAFE_STEP * limit:.4g}; beyond it contacts chatter and the strength falls without any other sign."
-            )
+        if not self.allow_unsafe_step:
+            _check_step(step, limit)
         ramp = 8 * cut.height / _wave_speed(self.params, network)
         speed = 2 * float(self.params.platen_speed)
         duration = self.axial_strain * cut.height / speed + ramp / 2
         prepared = {
             "cut": cut,
             "network": network,
-            "membrane": build_membrane(cut, self.sector),
+            "membrane": build_membrane(cut, self.sector, dtype=self.dtype),
             "time_step": float(step),
             "ramp_time": float(ramp),
             "protocol": Protocol(
@@ -210,45 +221,101 @@ class TriaxialTest:
     def confine(self, params: Params | None = None) -> tuple[State, Confinement]:
         """The state at the end of confinement, and how well it is balanced."""
         numbers = self._numbers(self.network, self.membrane)
-        return _confine(self.protocol, numbers, self.params if params is None else params)
+        return _confine(replace(self.protocol, blocks=0), numbers, self.params if params is None else params)
 
-    def run(self, params: Params | None = None, progress: Callable[[float, float], None] | None = None) -> "Run":
+    def run(
+        self,
+        params: Params | None = None,
+        progress: Callable[[float, float], None] | None = None,
+        start: "Progress | None" = None,
+        checkpoint: Path | None = None,
+    ) -> "Run":
         """Run the test to its axial strain and return curve and final state; lists are rebuilt where needed.
 
         progress: called with the axial strain and the stress ratio reached, about once every 1000 steps.
+        start: go on from here, see `axijax.checkpoint.load_progress`, instead of confining; its parameters are used.
+        checkpoint: file to which the progress is written now and then, at the end and at an interruption (Ctrl-C).
 
         Raises ValueError for bad parameters, and SimulationError with the remedy for a run that went wrong.
         """
-        params = self.params if params is None else params
+        from axijax.checkpoint import save_progress
+
+        if start is not None and params is not None:
+            raise ValueError("params: must be left out where a start is given, which brings its own.")
+        now = self._begin(self.params if params is None else params) if start is None else start
+        if checkpoint is not None:
+            save_progress(checkpoint, self, now)
+        written = time.monotonic()
+        try:
+            while now.strain < self.axial_strain:
+                now = self._go_on(now)
+                if progress is not None:
+                    progress(now.strain, float(now.records.stress_ratio[-1]))
+                if checkpoint is not None and time.monotonic() - written > CHECKPOINT_SECONDS:
+                    save_progress(checkpoint, self, now)
+                    written = time.monotonic()
+        finally:
+            # Whole segments only: after a failure or an interruption this is the last sound state.
+            if checkpoint is not None:
+                save_progress(checkpoint, self, now)
+        wanted = 1 - now.records.height / now.height <= self.axial_strain
+        curve = make_curve(jax.tree.map(lambda values: values[wanted], now.records), now.confinement)
+        raise_for_status(curve.status, curve)
+        _warn_of_chatter(curve)
+        return Run(curve, now.network, now.membrane, now.state)
+
+    def _begin(self, params: Params) -> "Progress":
+        """Confined, and nothing sheared yet."""
         check_params(params, len(self.cut))
-        cut, network, membrane = self.cut, self.network, self.membrane
+        if params is not self.params and not self.allow_unsafe_step:
+            _check_step(self.time_step, critical_time_step(self.scene, params, self.network))
         confined, balance = self.confine(params)
         if not float(max(balance.unbalanced_force, balance.stress_error)) <= self.tolerance:
             raise_for_status(NOT_CONFINED)
-        state = _start_shear(self.scene, network, confined)
-        fixed = _fixed_load(self.protocol, self._numbers(network, membrane), state)
+        state = _start_shear(self.scene, self.network, confined)
+        fixed = _fixed_load(self.protocol, self._numbers(self.network, self.membrane), state)
         height = float(state.platens[1] - state.platens[0])
+        return Progress(params, self.network, self.membrane, state, fixed, balance, height, no_records())
+
+    def _go_on(self, now: "Progress") -> "Progress":
+        """About 1000 steps further, with lists made anew where they are worn."""
+        network, membrane, state = now.network, now.membrane, now.state
+        if float(_wear(network, membrane, state).max()) > 1:
+            network, membrane, state = _rebuilt(self.cut, network, membrane, state)
         stretch = replace(self.protocol, blocks=-(-SEGMENT // self.record_every))
-        records: list[Observation] = []
-        strain = 0.0
-        while strain < self.axial_strain:
-            numbers = self._numbers(network, membrane)
-            state, seen, status = _shear(self.scene, stretch, numbers, params, state, fixed)
-            records.append(jax.tree.map(np.asarray, seen))
-            raise_for_status(status, make_curve(_join(records), balance))
-            strain = 1 - float(state.platens[1] - state.platens[0]) / height
-            if progress is not None:
-                progress(strain, float(records[-1].stress_ratio[-1]))
-            if strain < self.axial_strain and float(_wear(network, membrane, state).max()) > 1:
-                cut, network, membrane, state = _rebuilt(cut, network, membrane, state)
-        curve = make_curve(_join(records), balance)
-        wanted = np.asarray(curve.axial_strain) <= self.axial_strain
-        curve = replace(curve, **{f.name: getattr(curve, f.name)[wanted] for f in fields(Curve) if f.name not in WHOLE})
-        return Run(curve, network, membrane, state)
+        numbers = self._numbers(network, membrane)
+        state, seen, status = _shear(self.scene, stretch, numbers, now.params, state, now.fixed)
+        seen = jax.tree.map(np.asarray, seen)
+        records = jax.tree.map(np.append, now.records, seen)
+        raise_for_status(status, make_curve(records, now.confinement))
+        return now._replace(network=network, membrane=membrane, state=state, records=records)
 
     def _numbers(self, network: Network, membrane: Membrane):
         platens = jnp.asarray([self.cut.bottom, self.cut.top])
         return network, membrane, platens, self.time_step, self.ramp_time, self.lateral_load
+
+
+class Progress(NamedTuple):
+    """A shear in progress: all that `TriaxialTest.run` needs to go on.
+
+    fixed: the lateral load where it does not follow the membrane's cells.
+    height: distance of the platens at the end of confinement [L].
+    records: what was observed so far, T values each.
+    """
+
+    params: Params
+    network: Network
+    membrane: Membrane
+    state: State
+    fixed: Load | None
+    confinement: "Confinement"
+    height: float
+    records: Observation
+
+    @property
+    def strain(self) -> float:
+        """Axial strain reached [-]."""
+        return 1 - float(self.state.platens[1] - self.state.platens[0]) / self.height
 
 
 class Run(NamedTuple):
@@ -273,8 +340,29 @@ def raise_for_status(status, curve: Curve | None = None) -> None:
         raise SimulationError("the test went wrong: " + "; ".join(reasons) + ".", curve)
 
 
-def _join(records: list[Observation]) -> Observation:
-    return jax.tree.map(lambda *values: np.concatenate(values), *records)
+def no_records() -> Observation:
+    """An observation of no moment at all."""
+    empty: Any = np.zeros(0)
+    return Observation(*[empty] * len(Observation._fields))
+
+
+def _check_step(step, limit: float) -> None:
+    if step > SAFE_STEP * limit * (1 + 1e-9):
+        raise ValueError(
+            f"time_step = {step:.4g}: must be at most {SAFE_STEP:g} of the critical time step {limit:.4g}, that is "
+            f"{SAFE_STEP * limit:.4g}; beyond it contacts chatter and the strength falls without any other sign."
+        )
+
+
+def _warn_of_chatter(curve: Curve) -> None:
+    """Warn of chatter that has died out by the peak: the peak is right, the curve before it is not."""
+    strain = curve.axial_strain[curve.chatter > CHATTER]
+    if strain.size:
+        warnings.warn(
+            f"contacts chattered between {100 * strain.min():.3g} and {100 * strain.max():.3g} % axial strain, though "
+            "not at the peak: the curve is inexact there; lower time_step.",
+            stacklevel=3,
+        )
 
 
 def _rebuilt(cut: Specimen, network: Network, membrane: Membrane, state: State):
@@ -285,20 +373,23 @@ def _rebuilt(cut: Specimen, network: Network, membrane: Membrane, state: State):
     """
     sector = network.sector
     bottom, top = (float(height) for height in state.platens)
-    now = replace(cut, positions=np.asarray(positions(network, state)), bottom=bottom, top=top)
+    zone = np.isin(np.arange(len(cut)), np.asarray(membrane.zone))
+    place = np.asarray(positions(network, state))
+    now = replace(cut, positions=place, bottom=bottom, top=top, membrane_zone=zone)
     now = replace(now, membrane_zone=zone_found_again(now, sector))
     skin, roomy = 0.8 * float(now.radius.min()), 0.5
-    new = build_network(now, sector, skin, largest_overlap=roomy)
+    dtype = network.dtype
+    new = build_network(now, sector, skin, largest_overlap=roomy, dtype=dtype)
     width = max(new.slot.shape[0], network.slot.shape[0])
     contacts, room = new.first.size, network.first.size
-    new = build_network(now, sector, skin, width, room if contacts <= room else int(1.1 * contacts), roomy)
-    surface = build_membrane(now, sector)
+    new = build_network(now, sector, skin, width, room if contacts <= room else int(1.1 * contacts), roomy, dtype)
+    surface = build_membrane(now, sector, dtype=dtype)
     triangles, room = surface.corner.shape[1], membrane.corner.shape[1]
-    surface = build_membrane(now, sector, room if triangles <= room else int(1.1 * triangles))
+    surface = build_membrane(now, sector, room if triangles <= room else int(1.1 * triangles), dtype)
     state = state._replace(displacement=zeros(network.radius.shape, network.dtype))
     if state.spring is not None:
         state = state._replace(spring=carry_springs(network, new, state.spring))
-    return now, new, surface, state
+    return new, surface, state
 
 
 def _wave_speed(params: Params, network: Network):
@@ -313,7 +404,7 @@ def _confine(protocol: Protocol, numbers, params: Params) -> tuple[State, Confin
     network, membrane, platens, dt, _, fixed = numbers
     scene = Scene(rotation=False, friction=False, damping="background")
     # The slowest mode, half a wave along the specimen, is damped critically; the others settle within it.
-    rate = 2 * jnp.pi * _wave_speed(params, network) / (platens[1] - platens[0])
+    rate = 2 * jnp.pi * _wave_speed(params, network) / (platens[1] - platens[0]).astype(network.dtype)
     params = replace(params, background_damping=rate)
     step = make_step(scene, _servo(network))
 
@@ -327,7 +418,7 @@ def _confine(protocol: Protocol, numbers, params: Params) -> tuple[State, Confin
         load = _load(membrane, network, state, fixed)
         state = _repeat(lambda s: step(params, network, load, dt, s), CONFINE_BLOCK, state)
         seen = observe(scene, params, network, membrane, load, dt, state)
-        stress_error = jnp.abs(seen.stress_ratio - 1)
+        stress_error = jnp.abs(seen.stress_ratio - 1).astype(network.dtype)
         return state, Confinement(seen.unbalanced_force, stress_error, balance.steps + CONFINE_BLOCK)
 
     state = initial_state(network, scene, platens)
@@ -359,7 +450,7 @@ def _ramp(ramp_time):
     """Platens moved inward at the platen speed, which is reached smoothly after ramp_time."""
 
     def drive(params, state, dt, push, section):
-        x = jnp.clip((state.time + dt) / ramp_time, 0.0, 1.0)
+        x = jnp.clip((state.time + dt) / ramp_time, 0.0, 1.0).astype(push.dtype)
         return jnp.array([1.0, -1.0], push.dtype) * params.platen_speed * x * x * (3 - 2 * x)
 
     return drive
@@ -368,7 +459,8 @@ def _ramp(ramp_time):
 def _load(membrane: Membrane, network: Network, state: State, fixed: Load | None = None) -> Load:
     if fixed is not None:
         return fixed
-    return membrane_load(membrane, positions(network, state), state.platens[0], state.platens[1])
+    bottom, top = state.platens.astype(network.dtype)
+    return membrane_load(membrane, positions(network, state), bottom, top)
 
 
 def _fixed_load(protocol: Protocol, numbers, start: State) -> Load | None:
@@ -444,6 +536,7 @@ def _simulate(scene: Scene, protocol: Protocol, numbers, params: Params) -> Curv
 
 def make_curve(seen: Observation, balance: Confinement, status=0) -> Curve:
     """A curve from T observations, strains counted from the first."""
+    status = status | jnp.where(seen.chatter[jnp.argmax(seen.stress_ratio)] > CHATTER, UNSTABLE, 0)
     volume = seen.membrane_radius**2 * seen.height
     return Curve(
         axial_strain=1 - seen.height / seen.height[0],
@@ -454,6 +547,7 @@ def make_curve(seen: Observation, balance: Confinement, status=0) -> Curve:
         coordination_number=seen.coordination_number,
         unbalanced_force=seen.unbalanced_force,
         sliding_fraction=seen.sliding_fraction,
+        chatter=seen.chatter,
         membrane_radius=seen.membrane_radius,
         confinement=balance,
         status=status,

@@ -386,7 +386,7 @@ def draw(curves, path: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(
-        figsize=(4.6 * len(curves) if len(curves) <= 3 else 14, 4 * -(-len(curves) // 3)), layout="constrained"
+        figsize=(4.6 * len(curves) if len(curves) <= 3 else 14, 4 * -(-len(curves) // 3) + 0.6), layout="constrained"
     )
     FigureCanvasAgg(figure)
     columns = min(3, len(curves))
@@ -410,7 +410,8 @@ def draw(curves, path: Path) -> None:
             title=f"({label}), {condition}, {max(map(len, methods.values()))} starts",
         )
     panels[0].set_ylabel("fraction of starts solved; dots: right at its own stop")
-    panels[0].legend(frameon=False, fontsize="small")
+    handles, names = panels[0].get_legend_handles_labels()
+    figure.legend(handles, names, frameon=False, fontsize="small", loc="outside lower center", ncols=4)
     figure.savefig(path, dpi=150)
 
 

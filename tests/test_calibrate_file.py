@@ -74,7 +74,7 @@ def test_what_data_and_case_cannot_do_together(tmp_path, case):
 
 def test_a_peak_at_the_last_point_is_said(tmp_path):
     data = measured(StandIn(), np.linspace(2e-4, 8e-4, 10), friction=0.2)
-    rows = "\n".join(f"{e!r},{r!r}" for e, r in zip(data.axial_strain, data.stress_ratio, strict=True))
+    rows = "\n".join(f"{e:.9g},{r:.9g}" for e, r in zip(data.axial_strain, data.stress_ratio, strict=True))
     (tmp_path / "data.csv").write_text(HEAD + rows)
     said = []
     calibrate_file(tmp_path / "data.csv", "f", StandIn(), tmp_path, check=False, report=said.append)
