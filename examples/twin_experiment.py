@@ -13,7 +13,7 @@ batch. Peers are used where importable: cma, grainlearning
 runs: for each number of runs the share of starts whose best point so far is right, a dot where the method stopped by
 itself.
 
---quick: the small specimen, (f, kn) only, three starts; about a minute on one core. --draw: only draw the table that is
+--quick: the small specimen, (f, kn) only, three starts; a few minutes on one core. --draw: only draw the table that is
 in the folder. Each method may spend 140 runs, Adam 30 passes.
 """
 
@@ -386,7 +386,7 @@ def draw(curves, path: Path) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(
-        figsize=(4.6 * len(curves) if len(curves) <= 3 else 14, 4 * -(-len(curves) // 3) + 0.6), layout="constrained"
+        figsize=(4.6 * len(curves) if len(curves) <= 3 else 14, 4 * -(-len(curves) // 3) + 1), layout="constrained"
     )
     FigureCanvasAgg(figure)
     columns = min(3, len(curves))
@@ -411,7 +411,9 @@ def draw(curves, path: Path) -> None:
         )
     panels[0].set_ylabel("fraction of starts solved; dots: right at its own stop")
     handles, names = panels[0].get_legend_handles_labels()
-    figure.legend(handles, names, frameon=False, fontsize="small", loc="outside lower center", ncols=4)
+    figure.legend(
+        handles, names, frameon=False, fontsize="small", loc="outside lower center", ncols=2 if columns == 1 else 4
+    )
     figure.savefig(path, dpi=150)
 
 

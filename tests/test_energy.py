@@ -164,8 +164,8 @@ def stack_on_a_pair(sector):
     "made, damping, orders",
     [
         (stack_on_a_pair, "dashpot", (1, 2)),
-        (stack_on_a_pair, "local", (1, 2)),
-        (pressed_octagon, "dashpot", (1, 4)),
+        pytest.param(stack_on_a_pair, "local", (1, 2), marks=pytest.mark.slow),
+        pytest.param(pressed_octagon, "dashpot", (1, 4), marks=pytest.mark.slow),
         pytest.param(pressed_octagon, "local", (1, 2, 4), marks=pytest.mark.slow),
     ],
 )

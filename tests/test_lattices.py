@@ -330,8 +330,8 @@ def test_fcc_before_the_peak(friction, ratio):
     np.testing.assert_allclose(R[strain > 1.02 * opening], peak, rtol=5e-5)
 
 
-STRENGTHS = [("fcc", TAN_ANGLE_FCC, f) for f in (0.0, 0.05, 0.12278, 0.3)]
-STRENGTHS += [("bcc", TAN_ANGLE_BCC, f) for f in (0.0, 0.05, 0.12278, 0.3)]
+STRENGTHS = [("fcc", TAN_ANGLE_FCC, f) for f in (0.0, 0.12278, 0.3)]
+STRENGTHS += [("bcc", TAN_ANGLE_BCC, f) for f in (0.0, 0.12278, 0.3)]
 STRENGTHS += [("hcp", TAN_ANGLE_HCP, f) for f in (0.0, 0.12278, 0.3)]
 
 
