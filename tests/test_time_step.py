@@ -1,5 +1,6 @@
 """The critical time step against lattice dynamics and against the step itself, and what is refused."""
 
+import warnings
 from dataclasses import replace
 from functools import lru_cache, partial
 
@@ -15,7 +16,7 @@ from axijax.membrane import Load, membrane_load
 from axijax.neighbors import build_network
 from axijax.packing import Specimen, cut_to_sector, fcc_octagon
 from axijax.sector import Sector
-from axijax.triaxial import TriaxialTest
+from axijax.triaxial import CHATTER, UNSTABLE, SimulationError, TriaxialTest
 from axijax.vector import Vector
 
 RADIUS, STIFFNESS, DENSITY = 20.0, 1.5e9, 2000.0
@@ -214,3 +215,89 @@ def test_a_step_above_the_safe_one_is_refused_with_the_limit(damping):
         replace(default, time_step=1.001 * SAFE_STEP * critical)
     for number in (1.001 * SAFE_STEP * critical, SAFE_STEP * critical, critical):
         assert f"{number:.4g}" in str(caught.value)
+
+
+def test_a_safe_step_of_the_tests_parameters_is_not_one_of_others():
+    """`run` looks at the limit of the parameters that it is given; a ball ten times stiffer is refused."""
+    test = TriaxialTest(fcc_octagon(layers=3, half_width=3))
+    with pytest.raises(ValueError, match="critical time step"):
+        test.run(replace(test.params, normal_stiffness=10 * STIFFNESS, shear_stiffness=10 * STIFFNESS))
+
+
+@lru_cache
+def peak(damping, step, friction, damping_ratio=0.05, boundary="periodic", axial_strain=0.006):
+    """Peak stress ratio of the paper's quarter at a step in sqrt(m/K), and the error that was raised, if any.
+
+    Any warning, such as that of chatter before the peak, is an error here.
+    """
+    test = TriaxialTest(
+        fcc_octagon(),
+        Sector(4, boundary),
+        Scene(damping=damping),
+        Params(friction=friction, damping_ratio=damping_ratio),
+        axial_strain=axial_strain,
+        time_step=step * UNIT,
+        tolerance=1e-5,
+        allow_unsafe_step=True,
+    )
+    try:
+        return float(test.run().curve.stress_ratio.max()), None
+    except SimulationError as error:
+        return float(error.curve.stress_ratio.max()), error
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("damping", "step", "friction", "damping_ratio"),
+    [
+        ("local", 0.30, 0.3, 0.0),
+        ("local", 0.32, 0.3, 0.0),
+        ("local", 0.32, 0.12278, 0.0),
+        ("dashpot", 0.15, 0.3, 0.3),
+        ("dashpot", 0.15, 0.2, 0.3),
+        ("dashpot", 0.15, 0.05, 0.3),
+    ],
+)
+def test_the_guard_catches_the_silent_wrong_peaks(damping, step, friction, damping_ratio):
+    """PHYSICS 3.5: past the limit the Coulomb cap hides the instability; the peak is finite, plausible and wrong."""
+    wrong, error = peak(damping, step, friction, damping_ratio)
+    right, none = peak("dashpot", 0.1, friction)
+    assert none is None
+    assert 1 < wrong < 0.99 * right, "wrong, without any other sign"
+    assert error is not None and int(error.curve.status) == UNSTABLE
+    assert "lower time_step" in str(error)
+    assert error.curve.chatter.max() > 10 * CHATTER
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("damping", "step", "friction", "damping_ratio", "boundary", "axial_strain"),
+    [
+        ("local", 0.17, 0.3, 0.0, "periodic", 0.006),
+        ("local", 0.24, 0.3, 0.0, "periodic", 0.006),
+        ("local", 0.25, 0.05, 0.0, "periodic", 0.006),
+        ("local", 0.25, 0.12278, 0.0, "periodic", 0.05),
+        ("local", 0.25, 0.12278, 0.0, "rigid", 0.006),
+        ("dashpot", 0.15, 0.02, 0.05, "periodic", 0.006),
+        ("dashpot", 0.15, 0.12278, 0.05, "rigid", 0.006),
+        ("dashpot", 0.15, 0.3, 0.1, "periodic", 0.006),
+        ("dashpot", 0.15, 0.3, 0.05, "periodic", 0.05),
+        ("dashpot", 0.15, 0.9, 0.05, "periodic", 0.02),
+        ("dashpot", 0.08, 0.3, 0.3, "periodic", 0.006),
+    ],
+)
+def test_the_guard_raises_no_false_alarm(damping, step, friction, damping_ratio, boundary, axial_strain):
+    assert peak(damping, step, friction, damping_ratio, boundary, axial_strain)[1] is None
+
+
+@pytest.mark.slow
+def test_local_damping_at_a_quarter_has_the_right_peak():
+    """0.25 sqrt(m/K) at f = 0.3 lies just above the limit with local damping, 0.3199 / sqrt(1.7) = 0.245: contacts may
+    chatter on the way up, of which `run` warns, and are quiet at the peak, which is right."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found, error = peak("local", 0.25, 0.3, 0.0)
+    assert error is None
+    assert found == pytest.approx(peak("dashpot", 0.1, 0.3)[0], rel=3e-3)
