@@ -113,7 +113,7 @@ def stiffness(softness, **options):
     K = 5e4 * 20 / softness
     soft = softness / (5e4 * 20 / 1.5e9)
     return peak(
-        axial_strain=0.0045 * soft if soft > 0.1 else 0.001,
+        axial_strain=min(0.0045 * soft, 0.035) if soft > 0.1 else 0.001,
         friction=FRICTION, normal_stiffness=K, shear_stiffness=K, platen_speed=0.02 * min(soft**0.5, 3.0), **options,
     )  # fmt: skip
 
