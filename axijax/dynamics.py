@@ -238,19 +238,26 @@ def next_motion(scene: Scene, params: Params, network: Network, dt, state: State
 def _advance(scene: Scene, params: Params, dt, place: Vector, motion: Vector, force: Vector, per_inertia) -> Vector:
     """Velocities (or spins) half a step after the forces (or moments), damped as the scene says."""
     if scene.damping == "local":
-        # Cundall's damping: a force component is reduced where it drives the motion, raised where it opposes it.
-        # Radial, circumferential and vertical components, so that a ball and its turned images are damped alike.
-        distance = radial_distance(place)
-        off_axis = jnp.where(distance > 0, distance, 1.0)
-        cos, sin = jnp.where(distance > 0, place.x / off_axis, 1.0), place.y / off_axis
-        force_in, motion_in = force.turned(cos, -sin), motion.turned(cos, -sin)
-        damped = [f - params.local_damping * jnp.abs(f) * jnp.sign(m) for f, m in zip(force_in, motion_in, strict=True)]
-        force = Vector(*damped).turned(cos, sin)
+        force = force + local_damping_force(params, place, motion, force)
     if scene.damping == "background":
         # Half of it on either side of the force, so that even a large rate only stops the balls.
         half = 0.5 * dt * params.background_damping
         return (motion * (1 - half) + force * (dt * per_inertia)) * (1 / (1 + half))
     return motion + force * (dt * per_inertia)
+
+
+def local_damping_force(params: Params, place: Vector, motion: Vector, force: Vector) -> Vector:
+    """Cundall's local damping, -a |F| sign(v) in each component: a force is reduced where it drives the motion, and
+    raised where it opposes it. Also for moments and spins.
+
+    Radial, circumferential and vertical components, so that a ball and its turned images are damped alike.
+    """
+    distance = radial_distance(place)
+    off_axis = jnp.where(distance > 0, distance, 1.0)
+    cos, sin = jnp.where(distance > 0, place.x / off_axis, 1.0), place.y / off_axis
+    force_in, motion_in = force.turned(cos, -sin), motion.turned(cos, -sin)
+    drag = [-params.local_damping * jnp.abs(f) * jnp.sign(m) for f, m in zip(force_in, motion_in, strict=True)]
+    return Vector(*drag).turned(cos, sin)
 
 
 def critical_time_step(scene: Scene, params: Params, network: Network, touching_within: float = 1e-3) -> float:

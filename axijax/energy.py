@@ -19,11 +19,22 @@ import jax
 import jax.numpy as jnp
 
 from axijax.contact import geometry
-from axijax.dynamics import Forces, Params, PlatenDrive, Scene, State, all_forces, make_step, mass_per_cube, positions
+from axijax.dynamics import (
+    Forces,
+    Params,
+    PlatenDrive,
+    Scene,
+    State,
+    all_forces,
+    local_damping_force,
+    make_step,
+    mass_per_cube,
+    positions,
+)
 from axijax.membrane import Load, lateral_force
 from axijax.neighbors import Network
 from axijax.platens import wall_force
-from axijax.sector import plane_normals, radial_distance
+from axijax.sector import plane_normals
 from axijax.vector import Vector
 
 
@@ -205,20 +216,10 @@ def _drag_power(scene: Scene, params: Params, network: Network, forces: Forces, 
             power += params.background_damping * 0.4 * mass * network.radius**2 * spin.dot(spin)
     if scene.damping == "local":
         place = positions(network, state)
-        power = _local_drag(params, place, forces.resultant, state.velocity, velocity)
+        power = -local_damping_force(params, place, state.velocity, forces.resultant).dot(velocity)
         if spin is not None and state.spin is not None and forces.moment is not None:
-            power += _local_drag(params, place, forces.moment, state.spin, spin)
+            power -= local_damping_force(params, place, state.spin, forces.moment).dot(spin)
     return (power * network.weight).sum()
-
-
-def _local_drag(params: Params, place: Vector, force: Vector, motion_before: Vector, motion: Vector):
-    """Local damping's force, a |F| sign(v) in radial, circumferential and vertical components, times the motion."""
-    distance = radial_distance(place)
-    off_axis = jnp.where(distance > 0, distance, 1.0)
-    cos, sin = jnp.where(distance > 0, place.x / off_axis, 1.0), place.y / off_axis
-    force, motion_before, motion = (vector.turned(cos, -sin) for vector in (force, motion_before, motion))
-    drag = (jnp.abs(f) * jnp.sign(b) * m for f, b, m in zip(force, motion_before, motion, strict=True))
-    return params.local_damping * sum(drag)
 
 
 def _walls(network: Network, state: State, velocity: Vector, platen_speeds) -> Iterator[tuple[jax.Array, jax.Array]]:

@@ -83,7 +83,9 @@ class Fit:
         return np.sqrt(np.maximum(np.einsum("mp,pq,mq->m", self.jacobian, self.covariance, self.jacobian), 0.0))
 
     def __str__(self) -> str:
-        rows = [f"fit {self.status}; scatter {self.scatter:.3g} of the stated uncertainty"]
+        rows = [f"fit {self.status}"]
+        if not np.isnan(self.scatter):
+            rows[0] += f"; scatter {self.scatter:.3g} of the stated uncertainty"
         for name, value in self.estimate.items():
             low, high = self.interval[name]
             rows.append(

@@ -178,3 +178,44 @@ def test_a_ball_squeezed_out_is_loaded_but_does_not_carry_the_radius_away():
     expected = float(membrane_radius(before, from_rows(cut.positions)))
     assert float(membrane_radius(membrane, from_rows(positions))) == pytest.approx(expected, rel=1e-12)
     assert bool(membrane.counted[np.flatnonzero(np.asarray(membrane.zone) == ball)[0]]) is False
+
+
+def test_float32_keeps_the_overlap_only_by_displacements():
+    """At these coordinates float32 positions miss an overlap by 2e-3 of it, displacements by a hundredth of that."""
+    from axijax.contact import geometry
+    from axijax.neighbors import build_network
+
+    cut = cut_to_sector(fcc_octagon(), Sector(4))
+    rng = np.random.default_rng(5)
+    moved = from_rows(0.02 * rng.standard_normal(cut.positions.shape))
+    exact = np.asarray(geometry(build_network(cut, Sector(4)), moved).overlap)
+    single = build_network(cut, Sector(4), dtype=np.float32)
+    by_displacement = np.asarray(geometry(single, moved.map(lambda row: row.astype(np.float32))).overlap)
+    listed = np.asarray(single.image) == 0
+    ends = [np.asarray(index)[listed] for index in (single.first, single.second)]
+    place = (cut.positions + np.asarray(moved)).astype(np.float32)
+    branch = place[:, ends[0]] - place[:, ends[1]]
+    by_position = np.float32(40.0) - np.sqrt((branch**2).sum(axis=0))
+    typical = 0.019  # the specimen's overlap under its confining stress
+    missed = np.abs(by_position - exact[listed]).max()
+    assert 1e-3 * typical < missed < 1e-2 * typical
+    assert np.abs(by_displacement - exact)[listed].max() < 0.01 * missed
+
+
+def test_a_rattler_changes_nothing():
+    """A ball of half the radius, loose in the hole of an on-axis ball: as strong as with the hole empty."""
+    whole = fcc_octagon(layers=9, half_width=5)
+    place = np.array([[0.0], [0.0], [whole.height / 2 + 20 * np.sqrt(2)]])
+    hole = int(np.argmin(np.linalg.norm(whole.positions - place, axis=0)))
+    radius = whole.radius.copy()
+    radius[hole] *= 0.5
+    empty = whole.select(np.arange(len(whole)) != hole)
+    curves = []
+    for specimen in (empty, replace(whole, radius=radius)):
+        test = TriaxialTest(specimen, Sector(4), params=Params(), axial_strain=0.003, tolerance=1e-6)
+        curves.append((test, test.run()))
+    (_, alone), (test, loose) = curves
+    loose_ball = int(np.argmin(test.cut.radius))
+    assert np.hypot(*test.cut.positions[:2, loose_ball]) < 1e-9, "the rattler is on the axis"
+    assert np.abs(loose.positions[:2, loose_ball]).max() == 0.0
+    assert float(loose.curve.stress_ratio.max()) == pytest.approx(float(alone.curve.stress_ratio.max()), rel=1e-3)
