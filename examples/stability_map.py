@@ -116,6 +116,7 @@ def main() -> None:
                 f"({100 * found['relative_error']:+.2f} %), {found['guard']}",
                 flush=True,
             )
+    options.output = options.output.with_suffix(".png")
     table = options.output.with_suffix(".csv")
     save_table(table, COLUMNS, rows)
     draw(rows, limits, unit, options.output)
