@@ -4,14 +4,13 @@ import csv
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from axijax.triaxial import WHOLE, Curve
+from axijax.triaxial import RECORDS, Curve
 
 if TYPE_CHECKING:
     import xarray
@@ -39,7 +38,7 @@ def curves_dataset(curves: Mapping[str, Curve], labels: Mapping[str, Sequence], 
 
     longest = max(np.size(curve.axial_strain) for curve in curves.values())
     data = {}
-    for name in (f.name for f in fields(Curve) if f.name not in WHOLE):
+    for name in RECORDS:
         table = np.full((len(curves), longest), np.nan)
         for row, curve in zip(table, curves.values(), strict=True):
             values = np.asarray(getattr(curve, name))
@@ -62,11 +61,10 @@ def save_run(folder: Path, name: str, case: str, curve: Curve) -> list[Path]:
     from axijax import plot
 
     attributes = {"title": name, "case": case, "axijax": version("axijax"), "jax": jax.__version__}
-    columns = [f.name for f in fields(Curve) if f.name not in WHOLE]
-    rows = zip(*(np.asarray(getattr(curve, column)).tolist() for column in columns), strict=True)
+    rows = zip(*(np.asarray(getattr(curve, column)).tolist() for column in RECORDS), strict=True)
     paths = [folder / f"curve.{kind}" for kind in ("nc", "csv", "png")]
     save_dataset(curves_dataset({name: curve}, {}, attributes), paths[0])
-    save_table(paths[1], columns, [dict(zip(columns, row, strict=True)) for row in rows])
+    save_table(paths[1], RECORDS, [dict(zip(RECORDS, row, strict=True)) for row in rows])
     plot.save_figure(plot.curve_figure({name: curve}), paths[2])
     return paths
 

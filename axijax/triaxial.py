@@ -11,7 +11,7 @@ its `run` adds checks and a sentence for whatever went wrong.
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -110,7 +110,8 @@ class Confinement(NamedTuple):
     steps: jax.Array
 
 
-WHOLE = ("confinement", "status")  # the fields of a curve that are not records
+# The fields of a curve that hold one value a record.
+RECORDS = tuple(f.name for f in fields(Curve) if f.name not in ("confinement", "status"))
 
 
 @dataclass(frozen=True)
