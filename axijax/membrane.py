@@ -2,7 +2,8 @@
 
 The outer balls carry inward radial forces s3 * A_i. A_i is the area of ball i's Voronoi cell on the cylinder
 through the middle of the membrane zone, unfolded to x' = theta * Rm, z' = z, with Rm = (rho_min + rho_max) / 2 of
-the zone's balls. The cells are periodic in x' with period 2*pi*Rm/n (mirrored at rigid sector planes) and cut at
+the zone's balls. (Of a zone found by exposure Rm is the mean of rho: a single ball deep in a pore of a random
+specimen would shift the middle, and with it the stress, by 5 to 15 %.) The cells are periodic in x' with period 2*pi*Rm/n (mirrored at rigid sector planes) and cut at
 the platens by mirror points, so that they tile the strip exactly.
 
 SciPy triangulates the zone on the host (`build_membrane`); from that triangulation `cell_areas` finds the cells'
@@ -11,14 +12,14 @@ points from the ball's current position to the axis: with directions frozen at t
 spin up about its axis. It has no vertical component, so it does not follow a barrelling specimen's slope.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import Delaunay
 
-from axijax.packing import Specimen
+from axijax.packing import Specimen, ZoneRule
 from axijax.sector import Sector, radial_distance
 from axijax.vector import Vector
 
@@ -40,6 +41,7 @@ class Membrane:
     edge_inside: (3 T,) bool, edges with a triangle to either side.
     counted: (Z,) bool, balls that Rm is taken over; one squeezed far out of the surface is loaded but not counted.
     sector_angle: () angle of the sector [rad].
+    zone_rule: the specimen's, see `Specimen`; it decides what Rm is.
     """
 
     zone: jax.Array
@@ -57,19 +59,23 @@ class Membrane:
     edge_inside: jax.Array
     counted: jax.Array
     sector_angle: jax.Array
+    zone_rule: ZoneRule = field(default="given", metadata={"static": True})
 
 
 # A zone ball this many of its radii farther out than its neighbours on the surface no longer counts for Rm.
 SQUEEZED_OUT = 4.0
 
 
-def build_membrane(specimen: Specimen, sector: Sector, triangles: int | None = None, dtype=np.float64) -> Membrane:
+def build_membrane(
+    specimen: Specimen, sector: Sector, triangles: int | None = None, dtype=np.float64, balls: int | None = None
+) -> Membrane:
     """Triangulate the membrane zone on the unfolded cylinder (host, SciPy's Delaunay).
 
-    triangles: number of triangles to pad to, so that a rebuilt membrane keeps its shape; None takes what is needed.
+    triangles, balls: numbers of triangles and of zone balls to pad to, so that a rebuilt membrane keeps its shape;
+        None takes what is needed. Padding repeats the zone's first ball, with no share of a cell and not counted.
 
     Raises ValueError where the zone is empty, a zone ball is on the axis, two zone balls share one place on the
-    cylinder (their cells would be undefined), or triangles is too small.
+    cylinder (their cells would be undefined), or triangles or balls is too small.
     """
     zone = np.flatnonzero(specimen.membrane_zone)
     points = specimen.positions[:, zone]
@@ -84,9 +90,9 @@ def build_membrane(specimen: Specimen, sector: Sector, triangles: int | None = N
     theta = sector.angle_of(points)
     counted = np.ones(zone.size, bool)
     for _ in range(4):  # a ball squeezed out must not shift the cylinder on which it is found to be so
-        middle = (rho[counted].min() + rho[counted].max()) / 2
-        places, codes, owners, share = _copies(theta, points[2], middle, specimen.bottom, specimen.top, sector)
-        corners = _triangles(places, codes[5] > 0)
+        middle = middle_radius(rho[counted], specimen.zone_rule)
+        places, codes, owners, share = unfolded_copies(theta, points[2], middle, specimen.bottom, specimen.top, sector)
+        corners = surface_triangles(places, codes[5] > 0)
         before, counted = counted, _within_surface(rho, specimen.radius[zone], owners[corners])
         if (before == counted).all():
             break
@@ -99,6 +105,9 @@ def build_membrane(specimen: Specimen, sector: Sector, triangles: int | None = N
     needed = corners.shape[1]
     if triangles is not None and triangles < needed:
         raise ValueError(f"triangles = {triangles}: the membrane needs {needed}; allow at least that many.")
+    if balls is not None and balls < zone.size:
+        raise ValueError(f"balls = {balls}: the membrane needs {zone.size}; allow at least that many.")
+    extra = (balls or zone.size) - zone.size
     ends = np.sort(np.stack([corners[[1, 2]], corners[[2, 0]], corners[[0, 1]]], axis=1), axis=0)
     _, edge = np.unique(ends.reshape(2, -1), axis=1, return_inverse=True)
     edge = edge.reshape(3, -1)
@@ -107,10 +116,10 @@ def build_membrane(specimen: Specimen, sector: Sector, triangles: int | None = N
     unowned = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])[:, None, None]
     code = np.concatenate([codes[:, corners], codes[:, corners[:, pad]] * unowned], axis=2)
     return Membrane(
-        zone=jnp.asarray(zone.astype(np.int32)),
-        angle=jnp.asarray(theta.astype(dtype)),
-        direction=jnp.asarray((points[:2] / rho).astype(dtype)),
-        share=jnp.asarray(share.astype(dtype)),
+        zone=jnp.asarray(np.append(zone, np.full(extra, zone[0])).astype(np.int32)),
+        angle=jnp.asarray(np.append(theta, np.full(extra, theta[0])).astype(dtype)),
+        direction=jnp.asarray(np.pad(points[:2] / rho, ((0, 0), (0, extra))).astype(dtype)),
+        share=jnp.asarray(np.append(share, np.zeros(extra)).astype(dtype)),
         corner=jnp.asarray(owners[np.concatenate([corners, corners[:, pad]], 1)].astype(np.int32)),
         turn_sign=jnp.asarray(code[0].astype(dtype)),
         turn_shift=jnp.asarray(code[1].astype(dtype)),
@@ -120,12 +129,18 @@ def build_membrane(specimen: Specimen, sector: Sector, triangles: int | None = N
         owned=jnp.asarray(code[5].astype(dtype)),
         edge=jnp.asarray(np.concatenate([edge, np.full((3, pad.size), edge.max() + 1)], 1).astype(np.int32)),
         edge_inside=jnp.asarray(edge_inside),
-        counted=jnp.asarray(counted),
+        counted=jnp.asarray(np.append(counted, np.zeros(extra, bool))),
         sector_angle=jnp.asarray(sector.angle, dtype),
+        zone_rule=specimen.zone_rule,
     )
 
 
-def _triangles(places, owned):
+def middle_radius(rho: np.ndarray, zone_rule: ZoneRule) -> float:
+    """Rm of zone balls at these distances from the axis (host) [L]."""
+    return rho.mean() if zone_rule == "exposure" else (rho.min() + rho.max()) / 2
+
+
+def surface_triangles(places, owned):
     """Delaunay triangles (3, T) with an owned corner, counter-clockwise."""
     corners = Delaunay(places.T).simplices.T
     a, b, c = places[:, corners[0]], places[:, corners[1]], places[:, corners[2]]
@@ -134,7 +149,7 @@ def _triangles(places, owned):
     return corners[:, owned[corners].any(axis=0)]
 
 
-def _copies(theta, z, middle, bottom, top, sector: Sector):
+def unfolded_copies(theta, z, middle, bottom, top, sector: Sector):
     """The zone's balls and the copies that shape their cells: one period to either side, or a mirror image in either
     rigid plane, and all of these mirrored in either platen.
 
@@ -174,41 +189,30 @@ def _copies(theta, z, middle, bottom, top, sector: Sector):
     return np.concatenate(places, 1), np.concatenate(codes, 1), np.concatenate(owners), 1 / (1 + same)
 
 
-def _within_surface(rho, radius, corners):
-    """Which balls are less than SQUEEZED_OUT radii farther out than the median of their neighbours; (Z,) bool."""
-    neighbours = [set() for _ in rho]
-    for a, b, c in corners.T:
+def neighbours_median(values, corners):
+    """Median over each ball's neighbours on the surface, of values (Z,) one a ball; its own value where it has none.
+
+    corners: (3, T), the zone's balls at the triangles' corners.
+    """
+    neighbours: list[set[int]] = [set() for _ in values]
+    for a, b, c in corners.T.tolist():
         neighbours[a] |= {b, c}
         neighbours[b] |= {c, a}
         neighbours[c] |= {a, b}
-    median = np.array([np.median(rho[list(near - {i}) or [i]]) for i, near in enumerate(neighbours)])
-    within = rho - median < SQUEEZED_OUT * radius
+    return np.array([np.median(values[list(near - {i}) or [i]]) for i, near in enumerate(neighbours)])
+
+
+def _within_surface(rho, radius, corners):
+    """Which balls are less than SQUEEZED_OUT radii farther out than the median of their neighbours; (Z,) bool."""
+    within = rho - neighbours_median(rho, corners) < SQUEEZED_OUT * radius
     return within if within.any() else np.ones_like(within)
-
-
-def zone_found_again(specimen: Specimen, sector: Sector) -> np.ndarray:
-    """The specimen's membrane zone with every ball added that has come through it; (N,) bool (host).
-
-    The membrane is taken as the surface that joins the zone's balls, rho interpolated linearly between them on the
-    unfolded cylinder; a ball whose centre lies outside it touches the membrane from now on.
-    """
-    from scipy.interpolate import LinearNDInterpolator
-
-    zone = np.flatnonzero(specimen.membrane_zone)
-    rho = np.hypot(specimen.positions[0], specimen.positions[1])
-    theta = sector.angle_of(specimen.positions)
-    middle = (rho[zone].min() + rho[zone].max()) / 2
-    z = specimen.positions[2]
-    places, _, owners, _ = _copies(theta[zone], z[zone], middle, specimen.bottom, specimen.top, sector)
-    surface = LinearNDInterpolator(places.T, rho[zone][owners])
-    home = np.mod(theta, sector.angle) if sector.boundary == "periodic" else theta
-    outside = rho > surface(middle * home, z) + 1e-9 * middle
-    return specimen.membrane_zone | outside
 
 
 def membrane_radius(membrane: Membrane, positions: Vector) -> jax.Array:
     """Radius Rm of the cylinder through the middle of the zone [L]; positions: (N,) vectors."""
     rho = radial_distance(positions.at(membrane.zone))
+    if membrane.zone_rule == "exposure":
+        return jnp.where(membrane.counted, rho, 0.0).sum() / membrane.counted.sum()
     least = jnp.where(membrane.counted, rho, jnp.inf).min()
     most = jnp.where(membrane.counted, rho, -jnp.inf).max()
     return (least + most) / 2
@@ -245,7 +249,7 @@ def _cells(membrane: Membrane, positions: Vector, bottom, top) -> tuple[jax.Arra
     kite = cotangent * (edge * edge).sum(0) / 8  # from either end of the edge to the cell's side across it
     corner_area = membrane.owned * (kite[(1, 2, 0), :] + kite[(2, 0, 1), :])
     area = jnp.zeros(membrane.zone.size, place.dtype).at[membrane.corner].add(corner_area)
-    area = jnp.zeros(positions.x.size, place.dtype).at[membrane.zone].set(area * membrane.share)
+    area = jnp.zeros(positions.x.size, place.dtype).at[membrane.zone].add(area * membrane.share)
 
     across = jnp.zeros(membrane.edge.size, place.dtype).at[membrane.edge].add(kite)
     wrong = jnp.where(membrane.edge_inside, jnp.maximum(-across, 0.0), 0.0).sum()
