@@ -16,6 +16,7 @@ from axijax.membrane import Load, Membrane, build_membrane, membrane_load
 from axijax.neighbors import Network, build_network, carry_springs
 from axijax.observe import observe
 from axijax.packing import Specimen
+from axijax.sector import Sector
 from axijax.vector import zeros
 from axijax.zone import zone_found_again
 
@@ -45,17 +46,28 @@ def unconfined(dtype=np.float64) -> Confinement:
     return Confinement(one, one, jnp.zeros((), jnp.int32))
 
 
-def confining_scene(friction: float) -> Scene:
+class Limits(NamedTuple):
+    """Friction coefficient in confinement [-], unbalanced force and stress error that end it [-], most steps."""
+
+    friction: float = 0.0
+    tolerance: float = 1e-7
+    most_steps: int = 20_000
+
+    @property
+    def rubbing(self) -> bool:
+        return self.friction > 0
+
+
+def confining_scene(rubbing: bool) -> Scene:
     """What is modelled in confinement: background damping, and springs and spins only where there is friction."""
-    return Scene(rotation=friction > 0, friction=friction > 0, damping="background")
+    return Scene(rotation=rubbing, friction=rubbing, damping="background")
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2, 3))
+@partial(jax.jit, static_argnums=(0, 1))
 def confine(
-    friction: float,
-    tolerance: float,
-    most_steps: int,
+    rubbing: bool,
     until_worn: bool,
+    limits: Limits,
     lists: tuple[Network, Membrane],
     dt,
     fixed: Load | None,
@@ -64,24 +76,24 @@ def confine(
 ) -> tuple[State, Confinement]:
     """Membrane and platens at the confining stress until balance and stress are within tolerance, or most_steps.
 
-    friction: between balls; at zero neither springs nor spins are compiled.
+    rubbing: whether there is friction between balls; without it neither springs nor spins are compiled.
     until_worn: stop as well where a list is worn, so that it can be made anew.
     dt: time step [T]. fixed: a lateral load in place of the membrane's.
     """
     network, membrane = lists
-    scene = confining_scene(friction)
+    scene = confining_scene(rubbing)
     platens = start[0].platens
     # In a lattice the slowest mode, half a wave along the specimen, is damped critically; the others settle within it.
     share = RANDOM_DAMPING if membrane.zone_rule == "exposure" else 1.0
     rate = share * 2 * jnp.pi * wave_speed(params, network) / (platens[1] - platens[0]).astype(network.dtype)
     params = replace(params, background_damping=rate)
-    if friction > 0:
-        params = replace(params, friction=friction)
+    if rubbing:
+        params = replace(params, friction=limits.friction)
     step = make_step(scene, _servo(network))
 
     def unsettled(carry):
         state, balance = carry
-        going = (balance.worst > tolerance) & (balance.steps < most_steps)
+        going = (balance.worst > limits.tolerance) & (balance.steps < limits.most_steps)
         return going & (wear(network, membrane, state).max() <= 1) if until_worn else going
 
     def block(carry):
@@ -101,27 +113,20 @@ def settle(
     membrane: Membrane,
     params: Params,
     dt: float,
-    friction: float = 0.0,
-    tolerance: float = 1e-7,
-    most_steps: int = 20_000,
+    limits: Limits,
     fixed: Load | None = None,
-    state: State | None = None,
 ) -> tuple[Network, Membrane, State, Confinement]:
-    """Confinement with contact list and membrane made anew where they are worn (host loop); arguments as in `confine`.
+    """Confinement, from rest, with contact list and membrane made anew where they are worn (host loop).
 
-    state: to go on from; None starts at rest at the network's reference positions.
-
-    Returns the last lists, the state and its balance; the balance may be outside the tolerance after most_steps.
+    Arguments as in `confine`. Returns the last lists, the state and its balance, which may be outside the tolerance
+    after limits.most_steps.
     """
-    if state is None:
-        platens = jnp.asarray([specimen.bottom, specimen.top])
-        state = initial_state(network, confining_scene(friction), platens)
+    state = initial_state(network, confining_scene(limits.rubbing), jnp.asarray([specimen.bottom, specimen.top]))
     balance = unconfined(network.dtype)
     while True:
-        state, balance = confine(
-            friction, tolerance, most_steps, True, (network, membrane), dt, fixed, params, (state, balance)
-        )
-        if float(balance.worst) <= tolerance or int(balance.steps) >= most_steps:
+        lists = network, membrane
+        state, balance = confine(limits.rubbing, True, limits, lists, dt, fixed, params, (state, balance))
+        if float(balance.worst) <= limits.tolerance or int(balance.steps) >= limits.most_steps:
             return network, membrane, state, balance
         network, membrane, state = rebuilt(specimen, network, membrane, state)
 
@@ -188,19 +193,32 @@ def rebuilt(cut: Specimen, network: Network, membrane: Membrane, state: State, l
     now = replace(now, membrane_zone=zone_found_again(now, sector))
     skin, dtype = float(network.skin), network.dtype
     new = build_network(now, sector, skin, largest_overlap=largest_overlap, dtype=dtype)
-    width = max(new.slot.shape[0], network.slot.shape[0])
-    contacts = with_room(new.first.size, network.first.size)
-    new = build_network(now, sector, skin, width, contacts, largest_overlap, dtype)
+    rooms = _room(new.slot.shape[0], network.slot.shape[0], 1), _room(new.first.size, network.first.size, 64)
+    new = build_network(now, sector, skin, *rooms, largest_overlap, dtype)
     surface = build_membrane(now, sector, dtype=dtype)
-    triangles = with_room(surface.corner.shape[1], membrane.corner.shape[1])
-    balls = with_room(surface.zone.size, membrane.zone.size)
-    surface = build_membrane(now, sector, triangles, dtype, balls)
+    triangles = _room(surface.corner.shape[1], membrane.corner.shape[1], 32)
+    surface = build_membrane(now, sector, triangles, dtype, _room(surface.zone.size, membrane.zone.size, 16))
     state = state._replace(displacement=zeros(network.radius.shape, network.dtype))
     if state.spring is not None:
         state = state._replace(spring=carry_springs(network, new, state.spring))
     return new, surface, state
 
 
-def with_room(needed: int, room: int) -> int:
-    """The room there is where it is enough, or else a tenth more than is needed."""
-    return room if needed <= room else int(1.1 * needed)
+def roomy_lists(specimen: Specimen, sector: Sector, dtype=np.float64) -> tuple[Network, Membrane]:
+    """Contact list and membrane with room for what a random packing will become (host).
+
+    Rooms are rounded up, so that specimens of a kind share one shape, and one compiled program.
+    """
+    network = build_network(specimen, sector, dtype=dtype)
+    rooms = _room(network.slot.shape[0] + 1, 18, 1), _room(network.first.size, 0, 64)
+    surface = build_membrane(specimen, sector, dtype=dtype)
+    triangles, balls = _room(surface.corner.shape[1], 0, 32), _room(surface.zone.size, 0, 16)
+    return (
+        build_network(specimen, sector, None, *rooms, dtype=dtype),
+        build_membrane(specimen, sector, triangles, dtype, balls),
+    )
+
+
+def _room(needed: int, room: int, step: int) -> int:
+    """The room there is where it is enough, or else a fifth more than is needed, a multiple of `step`."""
+    return room if needed <= room else -(-int(1.2 * needed) // step) * step

@@ -13,11 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from axijax.confinement import rebuilt, settle
+from axijax.confinement import Limits, roomy_lists, settle
 from axijax.dynamics import DEFAULT_STEP, Params, check_params, positions
 from axijax.fabric import contact_statistics, inside_balls, measured, pairs_within, sample_points
 from axijax.membrane import build_membrane, membrane_radius
-from axijax.neighbors import build_network
 from axijax.packing import Specimen
 from axijax.sector import Sector, plane_normals
 from axijax.vector import from_rows
@@ -330,19 +329,12 @@ def _grown(radius: np.ndarray, sector: Sector, aspect_ratio: float, solid_fracti
 
 def _compacted(loose: Specimen, sector: Sector, friction: float, params: Params, tolerance: float, most_steps: int):
     """A sector's balls in balance at the confining stress, and the report of it but for grading and seed."""
-    skin = 0.4 * float(loose.radius.mean())
-    network = build_network(loose, sector, skin)
-    dense = int(1.25 * len(loose) * 6.5)  # contacts within the skin of a dense packing, so that shapes hold
-    network = build_network(loose, sector, skin, max(14, network.slot.shape[0]), max(dense, network.first.size))
-    zone = int(1.2 * loose.membrane_zone.sum())
-    surface = build_membrane(loose, sector)
-    membrane = build_membrane(loose, sector, int(1.25 * surface.corner.shape[1]), balls=zone)
+    network, membrane = roomy_lists(loose, sector)
     mass = float(params.density) * (4 / 3) * np.pi * loose.radius.min() ** 3
     # The limit of twelve contacts a ball, which no ball of the smallest size exceeds (PHYSICS 3.5).
     dt = DEFAULT_STEP * np.sqrt(mass / (10 * max(float(params.normal_stiffness), float(params.shear_stiffness))))
-    network, membrane, state, balance = settle(
-        loose, network, membrane, params, dt, friction, tolerance, most_steps
-    )
+    limits = Limits(friction, tolerance, most_steps)
+    network, membrane, state, balance = settle(loose, network, membrane, params, dt, limits)
     if not float(balance.worst) <= tolerance:
         raise RuntimeError(
             f"compaction of the random specimen stopped after {int(balance.steps)} steps at an unbalanced force of "

@@ -36,12 +36,14 @@ from axijax.dynamics import (
 from axijax.confinement import (
     STALE,
     Confinement,
+    Limits,
     confine,
     confining_scene,
     current_load,
     farthest,
     rebuilt,
     repeat,
+    roomy_lists,
     settle,
     unconfined,
     wave_speed,
@@ -124,17 +126,13 @@ class Protocol:
 
     blocks, block_steps: the shear runs blocks * block_steps steps and records after each block.
     refresh: find the membrane's cells again with every record; otherwise they keep their first areas.
-    confine_steps: most steps spent on confinement.
-    tolerance: unbalanced force and stress error at which confinement ends [-].
-    confining_friction: between balls during confinement [-].
+    limits: of confinement.
     """
 
     blocks: int
     block_steps: int = 50
     refresh: bool = True
-    confine_steps: int = 20_000
-    tolerance: float = 1e-7
-    confining_friction: float = 0.0
+    limits: Limits = Limits()
 
 
 @dataclass(frozen=True)
@@ -195,7 +193,11 @@ class TriaxialTest:
             raise ValueError(f"tolerance = {self.tolerance!r}: must be positive and finite [-].")
         if not (np.isfinite(self.confining_friction) and self.confining_friction >= 0):
             raise ValueError(f"confining_friction = {self.confining_friction!r}: must be zero or positive [-].")
-        network = build_network(cut, self.sector, dtype=self.dtype)
+        if cut.zone_rule == "exposure":
+            network, membrane = roomy_lists(cut, self.sector, self.dtype)
+        else:
+            network = build_network(cut, self.sector, dtype=self.dtype)
+            membrane = build_membrane(cut, self.sector, dtype=self.dtype)
         limit = critical_time_step(self.scene, self.params, network)
         step = DEFAULT_STEP * limit if self.time_step is None else self.time_step
         if not (np.isfinite(step) and step > 0):
@@ -208,16 +210,14 @@ class TriaxialTest:
         prepared = {
             "cut": cut,
             "network": network,
-            "membrane": build_membrane(cut, self.sector, dtype=self.dtype),
+            "membrane": membrane,
             "time_step": float(step),
             "ramp_time": float(ramp),
             "protocol": Protocol(
                 blocks=int(np.ceil(duration / step / self.record_every)) + 1,  # a record at the start and at the end
                 block_steps=self.record_every,
                 refresh=self.refresh,
-                confine_steps=self.confine_steps,
-                tolerance=self.tolerance,
-                confining_friction=float(self.confining_friction),
+                limits=Limits(float(self.confining_friction), self.tolerance, self.confine_steps),
             ),
         }
         for name, value in prepared.items():
@@ -283,8 +283,7 @@ class TriaxialTest:
         if params is not self.params and not self.allow_unsafe_step:
             _check_step(self.time_step, critical_time_step(self.scene, params, self.network))
         network, membrane, confined, balance = settle(
-            self.cut, self.network, self.membrane, params, self.time_step, self.confining_friction, self.tolerance,
-            self.confine_steps, self.lateral_load,
+            self.cut, self.network, self.membrane, params, self.time_step, self.protocol.limits, self.lateral_load
         )  # fmt: skip
         if not float(balance.worst) <= self.tolerance:
             raise_for_status(NOT_CONFINED)
@@ -294,14 +293,14 @@ class TriaxialTest:
         return Progress(params, network, membrane, state, fixed, balance, height, no_records())
 
     def _go_on(self, now: "Progress") -> "Progress":
-        """About 1000 steps further, with lists made anew where they are worn."""
+        """About 1000 steps further, or until a list is worn; lists that are worn are made anew first."""
         network, membrane, state = now.network, now.membrane, now.state
         if float(wear(network, membrane, state).max()) > 1:
             network, membrane, state = rebuilt(self.cut, network, membrane, state)
         stretch = replace(self.protocol, blocks=-(-SEGMENT // self.record_every))
         numbers = self._numbers(network, membrane)
-        state, seen, status = _shear(self.scene, stretch, numbers, now.params, state, now.fixed)
-        seen = jax.tree.map(np.asarray, seen)
+        state, seen, status, blocks = _shear_until_worn(self.scene, stretch, numbers, now.params, state, now.fixed)
+        seen = jax.tree.map(lambda values: np.asarray(values)[: int(blocks)], seen)
         records = jax.tree.map(np.append, now.records, seen)
         raise_for_status(status, make_curve(records, now.confinement))
         return now._replace(network=network, membrane=membrane, state=state, records=records)
@@ -406,6 +405,41 @@ def _shear(scene: Scene, protocol: Protocol, numbers, params: Params, state: Sta
 
     fixed: the lateral load where it does not follow the membrane's cells.
     """
+    # Reverse mode keeps the state before each block and runs the block again on the way back.
+    block = jax.checkpoint(_shear_block(scene, protocol, numbers, params, fixed), prevent_cse=False)
+    state, (seen, status) = jax.lax.scan(block, state, None, length=protocol.blocks)
+    return state, seen, status
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _shear_until_worn(scene: Scene, protocol: Protocol, numbers, params: Params, state: State, fixed: Load | None):
+    """As `_shear`, but stops where a list is worn: a free ball may fly through half the skin within one stretch.
+
+    Returns the number of blocks as well; what was observed fills so many places of arrays of protocol.blocks. The
+    status is that of these blocks together.
+    """
+    network, membrane, *_ = numbers
+    block = _shear_block(scene, protocol, numbers, params, fixed)
+    empty = jax.eval_shape(block, state, None)[1][0]
+    records = jax.tree.map(lambda value: jnp.zeros((protocol.blocks, *value.shape), value.dtype), empty)
+
+    def going(carry):
+        state, _, _, number = carry
+        return (number < protocol.blocks) & ((number == 0) | (wear(network, membrane, state).max() <= 1))
+
+    def further(carry):
+        state, records, bits, number = carry
+        state, (seen, status) = block(state, None)
+        records = jax.tree.map(lambda values, value: values.at[number].set(value), records, seen)
+        return state, records, bits | status, number + 1
+
+    nothing = jnp.zeros((), jnp.int32)
+    state, records, bits, number = jax.lax.while_loop(going, further, (state, records, nothing, nothing))
+    return state, records, bits, number
+
+
+def _shear_block(scene: Scene, protocol: Protocol, numbers, params: Params, fixed: Load | None):
+    """A function of a state that observes it, and takes it one block of steps further; a scan's body."""
     network, membrane, _, dt, ramp_time, _ = numbers
     step = make_step(scene, _ramp(ramp_time))
 
@@ -416,10 +450,7 @@ def _shear(scene: Scene, protocol: Protocol, numbers, params: Params, state: Sta
         state = repeat(lambda s: step(params, network, load, dt, s), protocol.block_steps, state)
         return state, (seen, status)
 
-    # Reverse mode keeps the state before each block and runs the block again on the way back.
-    block = jax.checkpoint(block, prevent_cse=False)
-    state, (seen, status) = jax.lax.scan(block, state, None, length=protocol.blocks)
-    return state, seen, status
+    return block
 
 
 def _trouble(network: Network, membrane: Membrane, state: State, load: Load) -> jax.Array:
@@ -439,9 +470,9 @@ def _trouble(network: Network, membrane: Membrane, state: State, load: Load) -> 
 def _confined(protocol: Protocol, numbers, params: Params) -> tuple[State, Confinement]:
     """Confinement with one contact list throughout."""
     network, membrane, platens, dt, _, fixed = numbers
-    start = initial_state(network, confining_scene(protocol.confining_friction), platens), unconfined(network.dtype)
-    options = protocol.confining_friction, protocol.tolerance, protocol.confine_steps
-    return confine(*options, False, (network, membrane), dt, fixed, params, start)
+    limits = protocol.limits
+    start = initial_state(network, confining_scene(limits.rubbing), platens), unconfined(network.dtype)
+    return confine(limits.rubbing, False, limits, (network, membrane), dt, fixed, params, start)
 
 
 def _start_shear(scene: Scene, network: Network, confined: State) -> State:
@@ -458,7 +489,7 @@ def _simulate(scene: Scene, protocol: Protocol, numbers, params: Params) -> Curv
     confined, balance = _confined(protocol, numbers, params)
     start = _start_shear(scene, network, confined)
     _, seen, status = _shear(scene, protocol, numbers, params, start, _fixed_load(protocol, numbers, start))
-    settled = balance.worst <= protocol.tolerance
+    settled = balance.worst <= protocol.limits.tolerance
     status = jnp.bitwise_or.reduce(status) | jnp.where(settled, 0, NOT_CONFINED)
     return make_curve(seen, balance, status)
 
