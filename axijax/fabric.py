@@ -144,7 +144,7 @@ def profiles(cut: Specimen, sector: Sector, radius: float, bins: int = 12) -> tu
 
     def binned(of_points, of_contacts, edges):
         number = np.histogram(of_points, edges)[0]
-        share = np.histogram(of_points, edges, weights=solid)[0] / np.where(number > 0, number, np.nan)
+        share = np.histogram(of_points, edges, weights=solid.astype(float))[0] / np.where(number > 0, number, np.nan)
         contacts = np.histogram(of_contacts, edges)[0] / 2  # each appears from either side
         sums = [np.histogram(of_contacts, edges, weights=row)[0] / 2 for row in square]
         return Profile(edges, share, contacts, *(row / np.where(contacts > 0, contacts, np.nan) for row in sums))

@@ -332,7 +332,7 @@ def _compacted(loose: Specimen, sector: Sector, friction: float, params: Params,
     network, membrane = roomy_lists(loose, sector)
     mass = float(params.density) * (4 / 3) * np.pi * loose.radius.min() ** 3
     # The limit of twelve contacts a ball, which no ball of the smallest size exceeds (PHYSICS 3.5).
-    dt = DEFAULT_STEP * np.sqrt(mass / (10 * max(float(params.normal_stiffness), float(params.shear_stiffness))))
+    dt = float(DEFAULT_STEP * np.sqrt(mass / (10 * max(float(params.normal_stiffness), float(params.shear_stiffness)))))
     limits = Limits(friction, tolerance, most_steps)
     network, membrane, state, balance = settle(loose, network, membrane, params, dt, limits)
     if not float(balance.worst) <= tolerance:

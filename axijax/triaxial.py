@@ -302,7 +302,8 @@ class TriaxialTest:
         state, seen, status, blocks = _shear_until_worn(self.scene, stretch, numbers, now.params, state, now.fixed)
         seen = jax.tree.map(lambda values: np.asarray(values)[: int(blocks)], seen)
         records = jax.tree.map(np.append, now.records, seen)
-        raise_for_status(status, make_curve(records, now.confinement))
+        if int(status):
+            raise_for_status(status, make_curve(records, now.confinement))
         return now._replace(network=network, membrane=membrane, state=state, records=records)
 
     def _numbers(self, network: Network, membrane: Membrane):
