@@ -67,13 +67,16 @@ class Membrane:
 SQUEEZED_OUT = 4.0
 
 
-def build_membrane(specimen: Specimen, sector: Sector, triangles: int | None = None, dtype=np.float64) -> Membrane:
+def build_membrane(
+    specimen: Specimen, sector: Sector, triangles: int | None = None, dtype=np.float64, balls: int | None = None
+) -> Membrane:
     """Triangulate the membrane zone on the unfolded cylinder (host, SciPy's Delaunay).
 
-    triangles: number of triangles to pad to, so that a rebuilt membrane keeps its shape; None takes what is needed.
+    triangles, balls: numbers of triangles T and of zone balls Z to pad to, so that a rebuilt membrane keeps its shape;
+        None takes what is needed. A zone is padded with its first ball, which then has no further share.
 
     Raises ValueError where the zone is empty, a zone ball is on the axis, two zone balls share one place on the
-    cylinder (their cells would be undefined), or triangles is too small.
+    cylinder (their cells would be undefined), or triangles or balls is too small.
     """
     unfolded = unfold(specimen, sector)
     zone, theta, corners, owners, codes = (
@@ -88,6 +91,8 @@ def build_membrane(specimen: Specimen, sector: Sector, triangles: int | None = N
     needed = corners.shape[1]
     if triangles is not None and triangles < needed:
         raise ValueError(f"triangles = {triangles}: the membrane needs {needed}; allow at least that many.")
+    if balls is not None and balls < zone.size:
+        raise ValueError(f"balls = {balls}: the membrane zone holds {zone.size}; allow at least that many.")
     ends = np.sort(np.stack([corners[[1, 2]], corners[[2, 0]], corners[[0, 1]]], axis=1), axis=0)
     _, edge = np.unique(ends.reshape(2, -1), axis=1, return_inverse=True)
     edge = edge.reshape(3, -1)
@@ -95,11 +100,14 @@ def build_membrane(specimen: Specimen, sector: Sector, triangles: int | None = N
     pad = np.zeros((triangles or needed) - needed, int)  # padding repeats a triangle that nobody owns
     unowned = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])[:, None, None]
     code = np.concatenate([codes[:, corners], codes[:, corners[:, pad]] * unowned], axis=2)
+    spare = (balls or zone.size) - zone.size
+    again = np.concatenate([np.arange(zone.size), np.zeros(spare, int)])
+    first = np.arange(again.size) < zone.size
     return Membrane(
-        zone=jnp.asarray(zone.astype(np.int32)),
-        angle=jnp.asarray(theta.astype(dtype)),
-        direction=jnp.asarray(unfolded.direction.astype(dtype)),
-        share=jnp.asarray(unfolded.share.astype(dtype)),
+        zone=jnp.asarray(zone[again].astype(np.int32)),
+        angle=jnp.asarray(theta[again].astype(dtype)),
+        direction=jnp.asarray(unfolded.direction[:, again].astype(dtype)),
+        share=jnp.asarray((unfolded.share[again] * first).astype(dtype)),
         corner=jnp.asarray(owners[np.concatenate([corners, corners[:, pad]], 1)].astype(np.int32)),
         turn_sign=jnp.asarray(code[0].astype(dtype)),
         turn_shift=jnp.asarray(code[1].astype(dtype)),
@@ -109,7 +117,7 @@ def build_membrane(specimen: Specimen, sector: Sector, triangles: int | None = N
         owned=jnp.asarray(code[5].astype(dtype)),
         edge=jnp.asarray(np.concatenate([edge, np.full((3, pad.size), edge.max() + 1)], 1).astype(np.int32)),
         edge_inside=jnp.asarray(edge_inside),
-        counted=jnp.asarray(unfolded.counted),
+        counted=jnp.asarray(unfolded.counted[again] & first),
         sector_angle=jnp.asarray(sector.angle, dtype),
         zone_rule=specimen.zone_rule,
     )
@@ -273,7 +281,7 @@ def _cells(membrane: Membrane, positions: Vector, bottom, top) -> tuple[jax.Arra
     kite = cotangent * (edge * edge).sum(0) / 8  # from either end of the edge to the cell's side across it
     corner_area = membrane.owned * (kite[(1, 2, 0), :] + kite[(2, 0, 1), :])
     area = jnp.zeros(membrane.zone.size, place.dtype).at[membrane.corner].add(corner_area)
-    area = jnp.zeros(positions.x.size, place.dtype).at[membrane.zone].set(area * membrane.share)
+    area = jnp.zeros(positions.x.size, place.dtype).at[membrane.zone].add(area * membrane.share)
 
     across = jnp.zeros(membrane.edge.size, place.dtype).at[membrane.edge].add(kite)
     wrong = jnp.where(membrane.edge_inside, jnp.maximum(-across, 0.0), 0.0).sum()

@@ -387,7 +387,11 @@ def _rebuilt(cut: Specimen, network: Network, membrane: Membrane, state: State):
     new = build_network(now, sector, skin, width, room if contacts <= room else int(1.1 * contacts), roomy, dtype)
     surface = build_membrane(now, sector, dtype=dtype)
     triangles, room = surface.corner.shape[1], membrane.corner.shape[1]
-    surface = build_membrane(now, sector, room if triangles <= room else int(1.1 * triangles), dtype)
+    triangles = room if triangles <= room else int(1.1 * triangles)
+    balls, places = surface.zone.size, membrane.zone.size
+    if now.zone_rule == "exposure":  # such a zone changes with every rebuild
+        balls = places if balls <= places else int(1.1 * balls)
+    surface = build_membrane(now, sector, triangles, dtype, balls)
     state = state._replace(displacement=zeros(network.radius.shape, network.dtype))
     if state.spring is not None:
         state = state._replace(spring=carry_springs(network, new, state.spring))
