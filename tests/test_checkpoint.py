@@ -30,14 +30,14 @@ def test_of():
 def unbroken(test_of):
     """The run that never stopped, how often its lists were made anew, with nothing shown or saved."""
     rebuilt = []
-    original = triaxial._rebuilt
+    original = triaxial.rebuilt
 
     def counted(*args):
         rebuilt.append(1)
         return original(*args)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(triaxial, "_rebuilt", counted)
+        patch.setattr(triaxial, "rebuilt", counted)
         return test_of(END).run(), len(rebuilt)
 
 

@@ -16,7 +16,8 @@ from axijax.neighbors import build_network
 from axijax.packing import Specimen, cut_to_sector, fcc_octagon
 from axijax.sector import Sector
 from axijax.theory import dashpot_restitution, local_damping_restitution, slide_to_roll
-from axijax.triaxial import TriaxialTest, _load, _ramp, _start_shear
+from axijax.confinement import current_load
+from axijax.triaxial import TriaxialTest, _ramp, _start_shear
 from axijax.vector import from_rows
 
 balance_of = jit(energy_balance, static_argnums=0)
@@ -256,7 +257,7 @@ def sheared(test: TriaxialTest, fraction: float, scene: Scene):
     @jax.jit
     def shear(state):
         def block(both, _):
-            load = _load(membrane, network, both[0])
+            load = current_load(membrane, network, both[0])
             seen = energy_balance(scene, params, network, load, dt, *both)
             return jax.lax.fori_loop(0, block_steps, lambda _, b: step(params, network, load, dt, b), both), seen
 

@@ -1,0 +1,224 @@
+"""Confinement: membrane and platens at s3 until forces balance, with contact list and membrane made anew where worn.
+
+Used by the test for its first stage, and by `random_packing` to compact a loose packing.
+"""
+
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from axijax.dynamics import Params, Scene, State, initial_state, make_step, mass_per_cube, positions
+from axijax.membrane import Load, Membrane, build_membrane, membrane_load
+from axijax.neighbors import Network, build_network, carry_springs
+from axijax.observe import observe
+from axijax.packing import Specimen
+from axijax.sector import Sector
+from axijax.vector import zeros
+from axijax.zone import zone_found_again
+
+STALE = 1e-2  # largest share of the strip's area that may be counted to the wrong cell; rebuilt at a twentieth
+CONFINE_BLOCK = 50  # steps between looks at the balance, and between refreshes of the membrane, in confinement
+# A random packing has much softer modes than half a wave along the specimen; at a tenth of that wave's critical damping
+# it settles five to ten times sooner, equally dense.
+RANDOM_DAMPING = 0.1
+
+
+class Confinement(NamedTuple):
+    """How confinement ended: mean unbalanced force over mean contact force, |s1 - s3|/s3, steps taken."""
+
+    unbalanced_force: jax.Array
+    stress_error: jax.Array
+    steps: jax.Array
+
+    @property
+    def worst(self) -> jax.Array:
+        """The larger of the two errors [-]."""
+        return jnp.maximum(self.unbalanced_force, self.stress_error)
+
+
+def unconfined(dtype=np.float64) -> Confinement:
+    """Before the first step."""
+    one = jnp.ones((), dtype)
+    return Confinement(one, one, jnp.zeros((), jnp.int32))
+
+
+class Limits(NamedTuple):
+    """Friction coefficient in confinement [-], unbalanced force and stress error that end it [-], most steps."""
+
+    friction: float = 0.0
+    tolerance: float = 1e-7
+    most_steps: int = 20_000
+
+    @property
+    def rubbing(self) -> bool:
+        return self.friction > 0
+
+
+def confining_scene(rubbing: bool) -> Scene:
+    """What is modelled in confinement: background damping, and springs and spins only where there is friction."""
+    return Scene(rotation=rubbing, friction=rubbing, damping="background")
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def confine(
+    rubbing: bool,
+    until_worn: bool,
+    limits: Limits,
+    lists: tuple[Network, Membrane],
+    dt,
+    fixed: Load | None,
+    params: Params,
+    start: tuple[State, Confinement],
+) -> tuple[State, Confinement]:
+    """Membrane and platens at the confining stress until balance and stress are within tolerance, or most_steps.
+
+    rubbing: whether there is friction between balls; without it neither springs nor spins are compiled.
+    until_worn: stop as well where a list is worn, so that it can be made anew.
+    dt: time step [T]. fixed: a lateral load in place of the membrane's.
+    """
+    network, membrane = lists
+    scene = confining_scene(rubbing)
+    platens = start[0].platens
+    # In a lattice the slowest mode, half a wave along the specimen, is damped critically; the others settle within it.
+    share = RANDOM_DAMPING if membrane.zone_rule == "exposure" else 1.0
+    rate = share * 2 * jnp.pi * wave_speed(params, network) / (platens[1] - platens[0]).astype(network.dtype)
+    params = replace(params, background_damping=rate)
+    if rubbing:
+        params = replace(params, friction=limits.friction)
+    step = make_step(scene, _servo(network))
+
+    def unsettled(carry):
+        state, balance = carry
+        going = (balance.worst > limits.tolerance) & (balance.steps < limits.most_steps)
+        return going & (wear(network, membrane, state).max() <= 1) if until_worn else going
+
+    def block(carry):
+        state, balance = carry
+        load = current_load(membrane, network, state, fixed)
+        state = repeat(lambda s: step(params, network, load, dt, s), CONFINE_BLOCK, state)
+        seen = observe(scene, params, network, membrane, load, dt, state)
+        stress_error = jnp.abs(seen.stress_ratio - 1).astype(network.dtype)
+        return state, Confinement(seen.unbalanced_force, stress_error, balance.steps + CONFINE_BLOCK)
+
+    return jax.lax.while_loop(unsettled, block, start)
+
+
+def settle(
+    specimen: Specimen,
+    network: Network,
+    membrane: Membrane,
+    params: Params,
+    dt: float,
+    limits: Limits,
+    fixed: Load | None = None,
+) -> tuple[Network, Membrane, State, Confinement]:
+    """Confinement, from rest, with contact list and membrane made anew where they are worn (host loop).
+
+    Arguments as in `confine`. Returns the last lists, the state and its balance, which may be outside the tolerance
+    after limits.most_steps.
+    """
+    state = initial_state(network, confining_scene(limits.rubbing), jnp.asarray([specimen.bottom, specimen.top]))
+    balance = unconfined(network.dtype)
+    while True:
+        lists = network, membrane
+        state, balance = confine(limits.rubbing, True, limits, lists, dt, fixed, params, (state, balance))
+        if float(balance.worst) <= limits.tolerance or int(balance.steps) >= limits.most_steps:
+            return network, membrane, state, balance
+        network, membrane, state = rebuilt(specimen, network, membrane, state)
+
+
+def wave_speed(params: Params, network: Network):
+    """P-wave speed of a close packing with stuck contacts, 2 r sqrt((kn + ks)/m) [L/T]; sets ramps and damping."""
+    radius = network.radius.mean()
+    mass = params.density * (4 / 3) * np.pi * radius**3
+    return 2 * radius * ((params.normal_stiffness + params.shear_stiffness) / mass) ** 0.5
+
+
+def _servo(network: Network):
+    """Platens carried by s3: each has the mass of one layer of balls and is damped like them."""
+
+    layers = (network.positions.z.max() - network.positions.z.min()) / (2 * network.radius.mean()) + 1
+    cubes = (network.weight * network.radius**3).sum() / layers
+
+    def drive(params, state, dt, push, section):
+        load = params.confining_stress * section
+        mass = mass_per_cube(params) * cubes
+        half = 0.5 * dt * params.background_damping
+        inward = jnp.array([1.0, -1.0], push.dtype) * (load - push) / mass
+        return ((1 - half) * state.platen_speeds + dt * inward) / (1 + half)
+
+    return drive
+
+
+def repeat(function, times: int, state: State) -> State:
+    """A state after so many steps."""
+    return jax.lax.scan(lambda s, _: (function(s), None), state, None, length=times)[0]
+
+
+def current_load(membrane: Membrane, network: Network, state: State, fixed: Load | None = None) -> Load:
+    """The load of the membrane at the current positions, or the one that is given."""
+    if fixed is not None:
+        return fixed
+    bottom, top = state.platens.astype(network.dtype)
+    return membrane_load(membrane, positions(network, state), bottom, top)
+
+
+@jax.jit
+def wear(network: Network, membrane: Membrane, state: State) -> jax.Array:
+    """How far the lists have aged, contact list and membrane, as a share of where they are rebuilt; (2,)."""
+    load = current_load(membrane, network, state)
+    return jnp.stack([4 * farthest(state) / network.skin, 20 * load.stale / STALE])
+
+
+def farthest(state: State) -> jax.Array:
+    """Longest displacement of a ball since the contact list was built [L]."""
+    return jnp.sqrt(state.displacement.dot(state.displacement).max())
+
+
+def rebuilt(cut: Specimen, network: Network, membrane: Membrane, state: State, largest_overlap: float = 0.5):
+    """Contact list and membrane built again from the current positions, springs carried over (host).
+
+    Every ball keeps its number and its image. The arrays keep their shapes where they are large enough, or else are
+    made with room to spare: a new shape is compiled anew.
+    """
+    sector = network.sector
+    bottom, top = (float(height) for height in state.platens)
+    zone = np.isin(np.arange(len(cut)), np.asarray(membrane.zone))
+    place = np.asarray(positions(network, state))
+    now = replace(cut, positions=place, bottom=bottom, top=top, membrane_zone=zone)
+    now = replace(now, membrane_zone=zone_found_again(now, sector))
+    skin, dtype = float(network.skin), network.dtype
+    new = build_network(now, sector, skin, largest_overlap=largest_overlap, dtype=dtype)
+    rooms = _room(new.slot.shape[0], network.slot.shape[0], 1), _room(new.first.size, network.first.size, 64)
+    new = build_network(now, sector, skin, *rooms, largest_overlap, dtype)
+    surface = build_membrane(now, sector, dtype=dtype)
+    triangles = _room(surface.corner.shape[1], membrane.corner.shape[1], 32)
+    surface = build_membrane(now, sector, triangles, dtype, _room(surface.zone.size, membrane.zone.size, 16))
+    state = state._replace(displacement=zeros(network.radius.shape, network.dtype))
+    if state.spring is not None:
+        state = state._replace(spring=carry_springs(network, new, state.spring))
+    return new, surface, state
+
+
+def roomy_lists(specimen: Specimen, sector: Sector, dtype=np.float64) -> tuple[Network, Membrane]:
+    """Contact list and membrane with room for what a random packing will become (host).
+
+    Rooms are rounded up, so that specimens of a kind share one shape, and one compiled program.
+    """
+    network = build_network(specimen, sector, dtype=dtype)
+    rooms = _room(network.slot.shape[0] + 1, 18, 1), _room(network.first.size, 0, 64)
+    surface = build_membrane(specimen, sector, dtype=dtype)
+    triangles, balls = _room(surface.corner.shape[1], 0, 32), _room(surface.zone.size, 0, 16)
+    return (
+        build_network(specimen, sector, None, *rooms, dtype=dtype),
+        build_membrane(specimen, sector, triangles, dtype, balls),
+    )
+
+
+def _room(needed: int, room: int, step: int) -> int:
+    """The room there is where it is enough, or else a fifth more than is needed, a multiple of `step`."""
+    return room if needed <= room else -(-int(1.2 * needed) // step) * step
