@@ -13,7 +13,7 @@ spin up about its axis. It has no vertical component, so it does not follow a ba
 """
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -78,6 +78,11 @@ def build_membrane(
     Raises ValueError where the zone is empty, a zone ball is on the axis, two zone balls share one place on the
     cylinder (their cells would be undefined), or triangles or balls is too small.
     """
+    return jax.tree.map(jnp.asarray, membrane_arrays(specimen, sector, triangles, dtype, balls))
+
+
+def membrane_arrays(specimen: Specimen, sector: Sector, triangles: int | None, dtype, balls: int | None) -> Membrane:
+    """`build_membrane` in NumPy arrays, for use where JAX must not be called."""
     unfolded = unfold(specimen, sector)
     zone, theta, corners, owners, codes = (
         unfolded.zone, unfolded.theta, unfolded.corners, unfolded.owners, unfolded.codes
@@ -96,6 +101,7 @@ def build_membrane(
     ends = np.sort(np.stack([corners[[1, 2]], corners[[2, 0]], corners[[0, 1]]], axis=1), axis=0)
     _, edge = np.unique(ends.reshape(2, -1), axis=1, return_inverse=True)
     edge = edge.reshape(3, -1)
+    edges: Any = np.concatenate([edge, np.full((3, (triangles or needed) - needed), edge.max() + 1)], 1)
     edge_inside = np.bincount(edge.ravel(), minlength=3 * (triangles or needed)) == 2
     pad = np.zeros((triangles or needed) - needed, int)  # padding repeats a triangle that nobody owns
     unowned = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])[:, None, None]
@@ -103,22 +109,23 @@ def build_membrane(
     spare = (balls or zone.size) - zone.size
     again = np.concatenate([np.arange(zone.size), np.zeros(spare, int)])
     first = np.arange(again.size) < zone.size
+    angle: Any = np.asarray(sector.angle, dtype)
     return Membrane(
-        zone=jnp.asarray(zone[again].astype(np.int32)),
-        angle=jnp.asarray(theta[again].astype(dtype)),
-        direction=jnp.asarray(unfolded.direction[:, again].astype(dtype)),
-        share=jnp.asarray((unfolded.share[again] * first).astype(dtype)),
-        corner=jnp.asarray(owners[np.concatenate([corners, corners[:, pad]], 1)].astype(np.int32)),
-        turn_sign=jnp.asarray(code[0].astype(dtype)),
-        turn_shift=jnp.asarray(code[1].astype(dtype)),
-        flip_sign=jnp.asarray(code[2].astype(dtype)),
-        flip_bottom=jnp.asarray(code[3].astype(dtype)),
-        flip_top=jnp.asarray(code[4].astype(dtype)),
-        owned=jnp.asarray(code[5].astype(dtype)),
-        edge=jnp.asarray(np.concatenate([edge, np.full((3, pad.size), edge.max() + 1)], 1).astype(np.int32)),
-        edge_inside=jnp.asarray(edge_inside),
-        counted=jnp.asarray(unfolded.counted[again] & first),
-        sector_angle=jnp.asarray(sector.angle, dtype),
+        zone=zone[again].astype(np.int32),
+        angle=theta[again].astype(dtype),
+        direction=unfolded.direction[:, again].astype(dtype),
+        share=(unfolded.share[again] * first).astype(dtype),
+        corner=owners[np.concatenate([corners, corners[:, pad]], 1)].astype(np.int32),
+        turn_sign=code[0].astype(dtype),
+        turn_shift=code[1].astype(dtype),
+        flip_sign=code[2].astype(dtype),
+        flip_bottom=code[3].astype(dtype),
+        flip_top=code[4].astype(dtype),
+        owned=code[5].astype(dtype),
+        edge=edges.astype(np.int32),
+        edge_inside=edge_inside,
+        counted=unfolded.counted[again] & first,
+        sector_angle=angle,
         zone_rule=specimen.zone_rule,
     )
 

@@ -1,4 +1,5 @@
-"""A contact list that changes inside jit: `allocate` makes room on the host, `update` finds the contacts again.
+"""Lists that change inside jit: `allocate` makes room on the host, `update` finds the contacts again, `renew` the
+membrane as well.
 
 The search puts every image of every ball into a grid of cells at least as wide as the longest contact and looks round
 each ball in its 27 cells, so that an image is found like any other ball, for any n. Cells and capacities are fixed;
@@ -9,19 +10,24 @@ k-d tree 3 to 12, 19 to 30, 130 to 210. All pairs take 7 to 83 and 250 to 1000, 
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial import QhullError
 
 from axijax.contact import geometry
+from axijax.dynamics import State
+from axijax.membrane import Membrane, membrane_arrays
 from axijax.neighbors import Network, build_network
 from axijax.packing import Specimen
 from axijax.sector import Sector
-from axijax.vector import Vector
+from axijax.vector import Vector, zeros
+from axijax.zone import zone_found_again
 
 # Bits of the status code of a run, see `axijax.triaxial.REMEDIES`.
-NOT_FINITE, STALE_LIST, FULL_LIST = 1, 4, 256
+NOT_FINITE, STALE_LIST, STALE_CELLS, FULL_LIST = 1, 4, 8, 256
 
 
 @dataclass(frozen=True)
@@ -51,12 +57,17 @@ def allocate(
     width = int(np.ceil(room * tight.slot.shape[0]))
     contacts = 8 * int(np.ceil(room * tight.first.size / 8))
     network = build_network(specimen, sector, skin, width, contacts, largest_overlap, dtype)
-    widest = 2 * specimen.radius.max() + float(network.skin)
-    rho = np.hypot(specimen.positions[0], specimen.positions[1]).max()
-    across, along = int(np.ceil(2.2 * rho / widest)) + 1, int(np.ceil(1.1 * np.ptp(specimen.positions[2]) / widest)) + 1
+    return network, grid_for(network, room)
+
+
+def grid_for(network: Network, room: float = 1.5) -> Grid:
+    """A grid for a contact list's balls, its capacity `room` times what is needed now (host)."""
+    x, y, z = np.asarray(network.positions)
+    widest = 2 * float(network.radius.max()) + float(network.skin)
+    across, along = (int(np.ceil(1.1 * size / widest)) + 1 for size in (2 * np.hypot(x, y).max(), np.ptp(z)))
     grid = Grid((across, across, along), 1)
     fullest = int(_cell_counts(grid, network, network.positions).max())
-    return network, replace(grid, capacity=int(np.ceil(room * fullest)) + 2)
+    return replace(grid, capacity=int(np.ceil(room * fullest)) + 2)
 
 
 def update(
@@ -87,7 +98,7 @@ def update(
     cos, sin = cosine[turn], sine[turn]
     far = 1e3 * network.radius.max()
     fresh = positions.at(first) - positions.at(second).turned(cos, sin)
-    fresh = Vector(*(jnp.where(listed, part, out) for part, out in zip(fresh, (far, 0.0, 0.0), strict=True)))
+    fresh = Vector(jnp.where(listed, fresh.x, far), fresh.y * listed, fresh.z * listed)
     branch = Vector(*(jnp.where(known, a, b) for a, b in zip(moved.apart.at(place), fresh, strict=True)))
     distance = jnp.sqrt(branch.dot(branch))
     radii = network.radius[first], network.radius[second]
@@ -126,6 +137,43 @@ def update(
         positions=positions,
     )
     return made, springs, bits
+
+
+def renew(grid: Grid, network: Network, membrane: Membrane, state: State):
+    """Contact list and membrane at the present positions, with the state and status bits that go with them.
+
+    The membrane's zone is found again and triangulated by SciPy on the host, called from inside jit, in the room that
+    it has; FULL_LIST where that does not suffice, STALE_CELLS where it cannot be triangulated. Nothing of it has a
+    tangent but the areas that are found from it.
+    """
+    made, spring, bits = update(grid, network, state.displacement, state.spring)
+    held = membrane, network.radius, made.positions, state.platens
+    membrane, trouble = jax.pure_callback(
+        partial(_triangulated, network.sector, network.dtype),
+        (jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype), membrane), jax.ShapeDtypeStruct((), np.int32)),
+        jax.lax.stop_gradient(held),
+        vmap_method="sequential",
+    )
+    still = zeros(network.radius.shape, network.dtype)
+    return made, membrane, state._replace(displacement=still, spring=spring), bits | trouble
+
+
+def _triangulated(sector: Sector, dtype, held) -> tuple[Membrane, np.ndarray]:
+    """The membrane found again on the host, or the old one and the bit that says why not."""
+    old, radius, positions, (bottom, top) = jax.tree.map(np.asarray, held)
+    zone = np.isin(np.arange(radius.size), old.zone)
+    try:
+        now = Specimen(np.asarray(positions), radius, float(bottom), float(top), zone, "", old.zone_rule)
+        now = replace(now, membrane_zone=zone_found_again(now, sector))
+        if now.membrane_zone.sum() > old.zone.size:
+            return old, np.asarray(FULL_LIST, np.int32)
+        made = membrane_arrays(now, sector, None, dtype, old.zone.size)
+        if made.corner.shape[1] > old.corner.shape[1]:
+            return old, np.asarray(FULL_LIST, np.int32)
+        made = membrane_arrays(now, sector, old.corner.shape[1], dtype, old.zone.size)
+    except (ValueError, QhullError):
+        return old, np.asarray(STALE_CELLS, np.int32)
+    return jax.tree.map(lambda new, was: np.asarray(new, was.dtype), made, old), np.asarray(0, np.int32)
 
 
 def _images(network: Network) -> int:
