@@ -110,10 +110,11 @@ def membrane_arrays(specimen: Specimen, sector: Sector, triangles: int | None, d
     again = np.concatenate([np.arange(zone.size), np.zeros(spare, int)])
     first = np.arange(again.size) < zone.size
     angle: Any = np.asarray(sector.angle, dtype)
+    direction: Any = unfolded.direction[:, again]
     return Membrane(
         zone=zone[again].astype(np.int32),
         angle=theta[again].astype(dtype),
-        direction=unfolded.direction[:, again].astype(dtype),
+        direction=direction.astype(dtype),
         share=(unfolded.share[again] * first).astype(dtype),
         corner=owners[np.concatenate([corners, corners[:, pad]], 1)].astype(np.int32),
         turn_sign=code[0].astype(dtype),

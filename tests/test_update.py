@@ -2,6 +2,7 @@
 
 from dataclasses import fields, replace
 from functools import partial
+from unittest import mock
 
 import jax
 import jax.numpy as jnp
@@ -9,8 +10,11 @@ import numpy as np
 import pytest
 from test_neighbors import ANY_OVERLAP, every_pair, from_both_sides, listed, random_balls
 
+from axijax import triaxial
 from axijax.neighbors import build_network, carry_springs
+from axijax.packing import fcc_octagon
 from axijax.sector import Sector
+from axijax.triaxial import Params, TriaxialTest
 from axijax.update import FULL_LIST, NOT_FINITE, STALE_LIST, Grid, allocate, update
 from axijax.vector import from_rows
 
@@ -174,3 +178,42 @@ def test_derivatives_pass_through_an_update():
         difference = (np.asarray(above) - np.asarray(below)) / (2 * h)
         assert np.abs(difference).max() > 0.1, name
         np.testing.assert_allclose(np.asarray(exact), difference, rtol=0, atol=1e-7, err_msg=name)
+
+
+@pytest.fixture(scope="module")
+def shear():
+    """A small FCC test to 5 %: as `run` makes it, with lists made anew on the host, and value and tangent of `simulate`
+    with and without lists made anew inside."""
+    specimen, params = fcc_octagon(layers=7, half_width=3), Params(platen_speed=0.05)
+    kept = TriaxialTest(specimen, Sector(4), params=params, axial_strain=0.05, tolerance=1e-4)
+    renewed = replace(kept, rebuild_every=4)
+
+    def curve_and_tangent(test):
+        return jit(lambda f: jax.jvp(lambda f: test.simulate(replace(params, friction=f)), (f,), (1.0,)))(0.12278)
+
+    with pytest.MonkeyPatch.context() as patch:
+        rebuilt = mock.Mock(side_effect=triaxial.rebuilt)
+        patch.setattr(triaxial, "rebuilt", rebuilt)
+        run = kept.run().curve
+    assert rebuilt.call_count > 0, "the host must have made its lists anew"
+    return run, curve_and_tangent(kept), curve_and_tangent(renewed)
+
+
+def test_a_test_with_lists_made_anew_inside_is_that_of_the_host(shear):
+    run, _, (renewed, _) = shear
+    assert int(renewed.status) == 0
+    assert run.axial_strain[-1] > 0.049
+    np.testing.assert_allclose(renewed.stress_ratio[: run.stress_ratio.size], run.stress_ratio, rtol=1e-9)
+    np.testing.assert_allclose(renewed.membrane_radius[: run.stress_ratio.size], run.membrane_radius, rtol=1e-12)
+
+
+def test_tangents_pass_through_lists_made_anew(shear):
+    """As long as one list would do, value and tangent are those of the test that keeps it."""
+    _, (kept, kept_tangent), (renewed, tangent) = shear
+    valid = np.asarray(kept.axial_strain) < 0.008
+    assert valid.sum() > 8, "after several updates"
+    for ours, theirs in ((renewed, kept), (tangent, kept_tangent)):
+        for name in ("stress_ratio", "volumetric_strain"):
+            expected = np.asarray(getattr(theirs, name))[valid]
+            scale = np.abs(expected).max()
+            np.testing.assert_allclose(np.asarray(getattr(ours, name))[valid], expected, rtol=0, atol=1e-10 * scale)
