@@ -243,7 +243,7 @@ def impact_maximum_overlap(normal_speed, effective_mass, normal_stiffness):
 
 def hertz_impact_maximum_overlap(normal_speed, effective_mass, reduced_radius, effective_modulus):
     """Largest overlap [L] of a Hertzian impact without damping, (15 m* v^2 / (16 sqrt(R*) E*))^(2/5), where
-    R* = r1 r2/(r1+r2) [L] and E* = G/(1-nu) for two balls of one material [M L^-1 T^-2] (energy balance; Johnson 1985, 11.24).
+    R* = r1 r2/(r1+r2) [L] and E* = G/(1-nu) for balls of one material [M L^-1 T^-2] (energy balance; Johnson 1985).
     Raises ValueError unless m*, R* and E* are positive, or if v is negative."""
     _check_signs(normal_speed=normal_speed, effective_mass=effective_mass)
     _check_signs(reduced_radius=reduced_radius, effective_modulus=effective_modulus)

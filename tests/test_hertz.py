@@ -470,9 +470,10 @@ def test_the_step_itself_amplifies_just_above_the_limit_and_not_below(boundary, 
     cut = cut_to_sector(SMALL, sector)
     half = 0.5 * SMALL.height + 1
     place = cut.positions - [[0], [0], [half - 1]]
-    squeezed = replace(cut, positions=place, radius=cut.radius * (1 + 1e-4), bottom=-half, top=half)
+    # Little enough that the prism does not buckle: growth of a static kind goes with the root of the overlap.
+    squeezed = replace(cut, positions=place, radius=cut.radius * (1 + 1e-6), bottom=-half, top=half)
     network = build_network(squeezed, sector)
-    params = Params(friction=1e6, confining_stress=1e-3)
+    params = Params(friction=1e6, confining_stress=1e-6)
     state = initial_state(network, scene, jnp.array([-half, half]))
     step = make_step(scene, still)
     flat, shape = ravel_pytree((state.displacement, state.velocity, state.spin, state.spring))
