@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.parameters import ParameterSet
+from calibrate.parameters import ParameterSet, check_used
 
 FIELDS = ("axial_strain", "stress_ratio", "virial_ratio", "core_ratio", "volumetric_strain")
 
@@ -59,6 +59,9 @@ class Model:
     ):
         if not isinstance(parameters, ParameterSet):
             parameters = ParameterSet.of(simulator.params, parameters)
+        scene = getattr(simulator, "scene", None)
+        if scene is not None:
+            check_used(parameters.names, scene.contact_law)
         self.simulator, self.parameters, self.hold_time_step = simulator, parameters, hold_time_step
         self.cost = Cost(tangent_cost=tangent_cost)
         self._value = jax.jit(self.curve)

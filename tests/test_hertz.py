@@ -45,6 +45,8 @@ from axijax.theory import (
 )
 from axijax.triaxial import TriaxialTest, raise_for_status
 from axijax.vector import Vector, from_rows, zeros
+from calibrate.fit import fit_parameters
+from calibrate.measured import MeasuredCurve
 
 NU = 0.2
 SHEAR = 4 * (1 - NU) / (2 - NU)  # 8 G* where E* is 1
@@ -456,6 +458,37 @@ def test_what_the_scene_does_not_use_does_not_enter():
         for one, other in zip(*map(jax.tree.leaves, ends), strict=True):
             np.testing.assert_array_equal(one, other)
             assert np.isfinite(one).all()
+
+
+def test_tangents_of_the_whole_test_agree_with_differences(blocked):
+    """d peak / d friction and d peak / d log G."""
+
+    def peak(x):
+        params = replace(blocked.params, friction=x[0], shear_modulus=2.9e10 * jnp.exp(x[1]))
+        return blocked.simulate(params).stress_ratio.max()
+
+    value, tangents = jax.jit(lambda x: (peak(x), jax.jacfwd(peak)(x)))(jnp.array([0.2, 0.0]))
+    assert float(value) == pytest.approx(float(fcc_stress_ratio(0.2)), rel=1e-2)
+    for tangent, h in zip(tangents, 1e-4 * jnp.eye(2), strict=True):
+        ends = [peak(jnp.array([0.2, 0.0]) + sign * h) for sign in (1, -1)]
+        assert float(tangent) == pytest.approx(float(ends[0] - ends[1]) / 2e-4, rel=1e-2, abs=1e-4)
+
+
+def test_friction_and_shear_modulus_are_fitted_and_what_the_law_does_not_use_is_refused(blocked):
+    truth = replace(blocked.params, friction=0.2, shear_modulus=1.7e10)
+    curve = blocked.simulate(truth)
+    strain = np.linspace(5e-5, 7.5e-4, 15)
+    measured = MeasuredCurve(strain, np.interp(strain, curve.axial_strain, curve.stress_ratio))
+    found = fit_parameters(blocked, measured, "friction,G", start="test")
+    assert found.estimate["friction"] == pytest.approx(0.2, rel=5e-3)
+    assert found.estimate["shear_modulus"] == pytest.approx(1.7e10, rel=2e-2)
+    with pytest.raises(ValueError, match="'normal_stiffness': contact_law = 'hertz' does not use it"):
+        fit_parameters(blocked, measured, "friction,kn")
+    linear = replace(blocked, scene=Scene(rotation=False))
+    with pytest.raises(ValueError, match="'poisson_ratio': contact_law = 'linear' does not use it"):
+        fit_parameters(linear, measured, "friction,nu")
+    with pytest.raises(ValueError, match="bounds of poisson_ratio"):
+        fit_parameters(blocked, measured, "nu", bounds={"nu": (0.1, 0.6)})
 
 
 # Time step.
