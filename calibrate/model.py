@@ -69,7 +69,7 @@ class Model:
 
     def check_stiffest(self) -> None:
         """Raise ValueError where the limits let the stiffness pass the one that the test's time step was chosen for."""
-        softer_only = ("normal_stiffness", "shear_stiffness")
+        softer_only = ("normal_stiffness", "shear_stiffness", "shear_modulus", "poisson_ratio")
         for name, upper in zip(self.parameters.names, self.parameters.upper, strict=True):
             reference = self.parameters.reference[name]
             if not self.hold_time_step and name in softer_only and upper > reference * (1 + 1e-9):
