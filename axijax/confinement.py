@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from axijax.dynamics import Params, Scene, State, initial_state, make_step, mass_per_cube, positions
+from axijax.dynamics import Params, Scene, State, confined_stiffness, initial_state, make_step, mass_per_cube, positions
 from axijax.membrane import Load, Membrane, build_membrane, membrane_load
 from axijax.neighbors import Network, build_network, carry_springs
 from axijax.observe import observe
@@ -58,14 +58,15 @@ class Limits(NamedTuple):
         return self.friction > 0
 
 
-def confining_scene(rubbing: bool) -> Scene:
-    """What is modelled in confinement: background damping, and springs and spins only where there is friction."""
-    return Scene(rotation=rubbing, friction=rubbing, damping="background")
+def confining_scene(scene: Scene, limits: Limits) -> Scene:
+    """What is modelled in confinement: the scene's contact law, background damping, and springs and spins only where
+    there is friction."""
+    return Scene(rotation=limits.rubbing, friction=limits.rubbing, damping="background", contact_law=scene.contact_law)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
 def confine(
-    rubbing: bool,
+    scene: Scene,
     until_worn: bool,
     limits: Limits,
     lists: tuple[Network, Membrane],
@@ -76,18 +77,17 @@ def confine(
 ) -> tuple[State, Confinement]:
     """Membrane and platens at the confining stress until balance and stress are within tolerance, or most_steps.
 
-    rubbing: whether there is friction between balls; without it neither springs nor spins are compiled.
+    scene: of `confining_scene`.
     until_worn: stop as well where a list is worn, so that it can be made anew.
     dt: time step [T]. fixed: a lateral load in place of the membrane's.
     """
     network, membrane = lists
-    scene = confining_scene(rubbing)
     platens = start[0].platens
     # In a lattice the slowest mode, half a wave along the specimen, is damped critically; the others settle within it.
     share = RANDOM_DAMPING if membrane.zone_rule == "exposure" else 1.0
-    rate = share * 2 * jnp.pi * wave_speed(params, network) / (platens[1] - platens[0]).astype(network.dtype)
+    rate = share * 2 * jnp.pi * wave_speed(scene, params, network) / (platens[1] - platens[0]).astype(network.dtype)
     params = replace(params, background_damping=rate)
-    if rubbing:
+    if scene.friction:
         params = replace(params, friction=limits.friction)
     step = make_step(scene, _servo(network))
 
@@ -108,6 +108,7 @@ def confine(
 
 
 def settle(
+    scene: Scene,
     specimen: Specimen,
     network: Network,
     membrane: Membrane,
@@ -121,21 +122,22 @@ def settle(
     Arguments as in `confine`. Returns the last lists, the state and its balance, which may be outside the tolerance
     after limits.most_steps.
     """
-    state = initial_state(network, confining_scene(limits.rubbing), jnp.asarray([specimen.bottom, specimen.top]))
+    state = initial_state(network, scene, jnp.asarray([specimen.bottom, specimen.top]))
     balance = unconfined(network.dtype)
     while True:
         lists = network, membrane
-        state, balance = confine(limits.rubbing, True, limits, lists, dt, fixed, params, (state, balance))
+        state, balance = confine(scene, True, limits, lists, dt, fixed, params, (state, balance))
         if float(balance.worst) <= limits.tolerance or int(balance.steps) >= limits.most_steps:
             return network, membrane, state, balance
         network, membrane, state = rebuilt(specimen, network, membrane, state)
 
 
-def wave_speed(params: Params, network: Network):
+def wave_speed(scene: Scene, params: Params, network: Network):
     """P-wave speed of a close packing with stuck contacts, 2 r sqrt((kn + ks)/m) [L/T]; sets ramps and damping."""
     radius = network.radius.mean()
     mass = params.density * (4 / 3) * np.pi * radius**3
-    return 2 * radius * ((params.normal_stiffness + params.shear_stiffness) / mass) ** 0.5
+    normal, shear = confined_stiffness(scene, params, network)
+    return 2 * radius * ((normal + shear) / mass) ** 0.5
 
 
 def _servo(network: Network):

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from axijax.confinement import Limits, roomy_lists, settle
-from axijax.dynamics import DEFAULT_STEP, Params, check_params, positions
+from axijax.confinement import Limits, confining_scene, roomy_lists, settle
+from axijax.dynamics import DEFAULT_STEP, Params, Scene, check_params, positions
 from axijax.fabric import contact_statistics, inside_balls, measured, pairs_within, sample_points
 from axijax.membrane import build_membrane, membrane_radius
 from axijax.packing import Specimen
@@ -334,7 +334,7 @@ def _compacted(loose: Specimen, sector: Sector, friction: float, params: Params,
     # The limit of twelve contacts a ball, which no ball of the smallest size exceeds (PHYSICS 3.5).
     dt = float(DEFAULT_STEP * np.sqrt(mass / (10 * max(float(params.normal_stiffness), float(params.shear_stiffness)))))
     limits = Limits(friction, tolerance, most_steps)
-    network, membrane, state, balance = settle(loose, network, membrane, params, dt, limits)
+    network, membrane, state, balance = settle(confining_scene(Scene(), limits), loose, network, membrane, params, dt, limits)
     if not float(balance.worst) <= tolerance:
         raise RuntimeError(
             f"compaction of the random specimen stopped after {int(balance.steps)} steps at an unbalanced force of "

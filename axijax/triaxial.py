@@ -219,7 +219,7 @@ class TriaxialTest:
             raise ValueError(f"time_step = {step!r}: must be positive and finite [T].")
         if not self.allow_unsafe_step:
             _check_step(step, limit)
-        ramp = 8 * cut.height / wave_speed(self.params, network)
+        ramp = 8 * cut.height / wave_speed(self.scene, self.params, network)
         speed = 2 * float(self.params.platen_speed)
         duration = self.axial_strain * cut.height / speed + ramp / 2
         prepared = {
@@ -251,7 +251,7 @@ class TriaxialTest:
     def confine(self, params: Params | None = None) -> tuple[State, Confinement]:
         """The state at the end of confinement, and how well it is balanced."""
         numbers = self._numbers(self.network, self.membrane)
-        return _confined(self.protocol, numbers, self.params if params is None else params)
+        return _confined(self.scene, self.protocol, numbers, self.params if params is None else params)
 
     def run(
         self,
@@ -299,8 +299,10 @@ class TriaxialTest:
         check_params(params, len(self.cut))
         if params is not self.params and not self.allow_unsafe_step:
             _check_step(self.time_step, critical_time_step(self.scene, params, self.network))
+        limits = self.protocol.limits
+        scene = confining_scene(self.scene, limits)
         network, membrane, confined, balance = settle(
-            self.cut, self.network, self.membrane, params, self.time_step, self.protocol.limits, self.lateral_load
+            scene, self.cut, self.network, self.membrane, params, self.time_step, limits, self.lateral_load
         )  # fmt: skip
         if not float(balance.worst) <= self.tolerance:
             raise_for_status(NOT_CONFINED)
@@ -505,12 +507,12 @@ def _trouble(network: Network, membrane: Membrane, state: State, load: Load) -> 
     return bits | jnp.where(inside.all(), 0, ESCAPED)
 
 
-def _confined(protocol: Protocol, numbers, params: Params) -> tuple[State, Confinement]:
+def _confined(scene: Scene, protocol: Protocol, numbers, params: Params) -> tuple[State, Confinement]:
     """Confinement with one contact list throughout."""
     network, membrane, platens, dt, _, fixed = numbers
-    limits = protocol.limits
-    start = initial_state(network, confining_scene(limits.rubbing), platens), unconfined(network.dtype)
-    return confine(limits.rubbing, False, limits, (network, membrane), dt, fixed, params, start)
+    scene = confining_scene(scene, protocol.limits)
+    start = initial_state(network, scene, platens), unconfined(network.dtype)
+    return confine(scene, False, protocol.limits, (network, membrane), dt, fixed, params, start)
 
 
 def _start_shear(scene: Scene, network: Network, confined: State) -> State:
@@ -524,7 +526,7 @@ def _start_shear(scene: Scene, network: Network, confined: State) -> State:
 @partial(jax.jit, static_argnums=(0, 1))
 def _simulate(scene: Scene, protocol: Protocol, numbers, params: Params) -> Curve:
     network = numbers[0]
-    confined, balance = _confined(protocol, numbers, params)
+    confined, balance = _confined(scene, protocol, numbers, params)
     start = _start_shear(scene, network, confined)
     _, seen, status = _shear(scene, protocol, numbers, params, start, _fixed_load(protocol, numbers, start))
     settled = balance.worst <= protocol.limits.tolerance
