@@ -10,7 +10,6 @@ from types import SimpleNamespace
 import numpy as np
 
 from axijax.theory import fcc_first_slip, fcc_horizontal_opening_strain, fcc_stress_ratio, fcc_youngs_modulus
-
 from calibrate.evaluate import half_rise_strain
 from calibrate.measured import MeasuredCurve
 from calibrate.targets import HardPeak, SmoothPeak, WindowMean
