@@ -64,13 +64,18 @@ class Stored:
 
 
 def joined(datasets: Sequence["xarray.Dataset"]) -> "xarray.Dataset":
-    """Members' datasets as one with dimensions (member, record), padded with NaN; without the attributes of each."""
+    """Members' datasets as one with dimensions (member, record), padded with NaN; attributes that all share."""
     import xarray
 
     if not datasets:
         return xarray.Dataset(coords={"member": np.array([], str)})
     longest = max(data.sizes["record"] for data in datasets)
-    padded = [data.pad(record=(0, longest - data.sizes["record"])) for data in datasets]
+    # A label that only some members have is NaN, or an empty text, for the others.
+    absent = {name: "" if label.dtype.kind in "OSU" else np.nan for data in datasets for name, label in data.coords.items()}
+    padded = []
+    for data in datasets:
+        lacking = {name: ("member", [empty]) for name, empty in absent.items() if name not in data.coords}
+        padded.append(data.pad(record=(0, longest - data.sizes["record"])).assign_coords(lacking))
     return xarray.concat(padded, dim="member", join="outer", combine_attrs="drop_conflicts")
 
 
