@@ -9,7 +9,7 @@ import os
 # read from a compilation cache prints two kilobytes of a false alarm (jax issue 38445).
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
-import jax  # noqa: E402
+import jax
 
 jax.config.update("jax_enable_x64", True)
 

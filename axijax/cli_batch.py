@@ -19,8 +19,8 @@ def batch(
 ) -> None:
     """Run all combinations of the lists in a case file's [sweep] table, such as parameters.friction = [0.1, 0.2].
 
-    Writes one NetCDF file a test into OUTPUT/members as they come, and summary.csv. Run again after an interruption: what
-    is there is not computed again. Ends with exit code 1 where a test failed; the others are kept.
+    Writes one NetCDF file a test into OUTPUT/members as they come, and summary.csv. Run again after an interruption:
+    what is there is not computed again. Ends with exit code 1 where a test failed; the others are kept.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
