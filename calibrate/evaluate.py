@@ -101,18 +101,41 @@ class Evaluator:
         """One run."""
         return self._evaluate(np.asarray(z, float), ())
 
+    def values(self, points) -> list[Evaluation]:
+        """One run each, several cores at a time, logged as they come; a run that fails leaves the others alone."""
+        from axijax.batch import parallel
+
+        points = [np.asarray(z, float) for z in points]
+        found: dict[int, Evaluation] = {}
+
+        def run(number):
+            known = (tuple(points[number].tolist()), ()) in self._known
+            return None if known else self.model.run(points[number])
+
+        def finished(place, curve):
+            if isinstance(curve, Exception) and not isinstance(curve, RunFailed):
+                raise curve
+            found[numbers[place]] = self._evaluate(points[numbers[place]], (), curve)
+
+        numbers = [0]  # the first by itself: it compiles
+        parallel(run, numbers, finished=finished)
+        numbers = list(range(1, len(points)))
+        parallel(run, numbers, finished=finished)
+        return [found[number] for number in range(len(points))]
+
     def tangents(self, z, along) -> Evaluation:
         """Value and tangents along the parameters of these places in the set, in one pass."""
         return self._evaluate(np.asarray(z, float), tuple(along))
 
-    def _evaluate(self, z, along) -> Evaluation:
+    def _evaluate(self, z, along, curve=None) -> Evaluation:
         key = (tuple(z.tolist()), along)
         found = self._known.get(key)
-        result = self._restored(z, found) if found else self._fresh(z, along)
+        result = self._restored(z, found) if found else self._fresh(z, along, curve)
         self.evaluations.append(result)
         return result
 
-    def _fresh(self, z, along) -> Evaluation:
+    def _fresh(self, z, along, curve) -> Evaluation:
+        """curve: of a run made before, or the RunFailed that it ended with."""
         start = time.perf_counter()
         slopes, failed = None, None
         nothing = np.full(self.observed.size, np.nan)
@@ -121,7 +144,9 @@ class Evaluator:
                 curve, tangents = self.model.run_with_tangents(z, np.eye(len(z))[list(along)])
                 slopes = np.concatenate([jacobian_of(target, curve, tangents)[1] for target in self.targets])
             else:
-                curve = self.model.run(z)
+                curve = self.model.run(z) if curve is None else curve
+                if isinstance(curve, RunFailed):
+                    raise curve
             prediction = self.predict(curve)
             one = stretch_tangent(curve)
             stretch = np.concatenate([jacobian_of(target, curve, one)[1][:, 0] for target in self.targets])

@@ -59,7 +59,8 @@ def fit_parameters(
     by_rule: begin with runs carried over by similarity, four at most.
     tolerance: smallest step of a log or logit that is still worth a run [-].
     max_runs: forward-equivalent runs after which to stop.
-    starts: with more than one, so many random starts within the bounds are run first and the best is fitted from.
+    starts: with more than one, so many starts are run first, one a core at a time, the others random within the bounds,
+        and the fit goes on from the best; a start whose run fails is passed over.
     log: file for every evaluation; named again it resumes.
 
     Raises ValueError for what cannot be fitted (fewer numbers than parameters, say), RunFailed where no start gives a
@@ -113,13 +114,11 @@ def _first_point(model: Model, evaluator: Evaluator, start, starts: int, seed: i
         return first
     low, high = model.parameters.limits()
     random = np.random.default_rng(seed).uniform(low, high, (starts - 1, len(low)))
-    best, least = first, np.inf
-    for z in [first, *random]:
-        tried = evaluator.value(z)
-        misfit = np.sum(((tried.prediction - evaluator.observed) / evaluator.sigma) ** 2)
-        if not tried.failed and misfit < least:
-            best, least = z, misfit
-    return best
+    points = [first, *random]
+    tried = evaluator.values(points)
+    misfit = [np.sum(((one.prediction - evaluator.observed) / evaluator.sigma) ** 2) for one in tried]
+    # A start whose run failed has no misfit, and is passed over.
+    return points[int(np.nanargmin(misfit))] if np.isfinite(misfit).any() else first
 
 
 class _Search:

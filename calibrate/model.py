@@ -4,6 +4,7 @@ The simulator is anything with `params` (as axijax.dynamics.Params) and a pure `
 fields axial_strain, stress_ratio and so on of `axijax.triaxial.Curve` with a status; `TriaxialTest` is the real one.
 """
 
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -61,6 +62,7 @@ class Model:
             parameters = ParameterSet.of(simulator.params, parameters)
         self.simulator, self.parameters, self.hold_time_step = simulator, parameters, hold_time_step
         self.cost = Cost(tangent_cost=tangent_cost)
+        self._counting = threading.Lock()  # `run` may be called by several threads
         self._value = jax.jit(self.curve)
         self._pass = jax.jit(self._value_and_tangents)
 
@@ -106,8 +108,9 @@ class Model:
         """The curve at (P,) coordinates, as NumPy arrays. Raises RunFailed where the run is not sound."""
         start = time.perf_counter()
         fields = self._finished(self._value, jnp.asarray(coordinates, float))
-        self.cost.runs += 1
-        self.cost.run_seconds += time.perf_counter() - start
+        with self._counting:
+            self.cost.runs += 1
+            self.cost.run_seconds += time.perf_counter() - start
         return self._sound(fields)
 
     def run_with_tangents(self, coordinates, directions=None) -> tuple[SimpleNamespace, SimpleNamespace]:
@@ -139,7 +142,7 @@ class Model:
         return curve
 
     def measure_tangent_cost(self, coordinates=None, repeats: int = 3) -> float:
-        """Cost of one tangent in runs, (pass - run) / (run * tangents), from the fastest of alternating runs; stored [-].
+        """Cost of one tangent in runs, (pass - run) / (run * tangents), of the fastest of alternating runs; stored [-].
 
         coordinates: (P,) where, by default the reference. repeats: timed runs of each kind.
         """

@@ -70,7 +70,9 @@ class Batched(Model):
 
     def prepare(self, points) -> None:
         """Run (B, P) points at once; `run` then hands them out."""
-        fields = self._finished(self._together, np.asarray(points, float))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # a vmap on a CPU is slow, but not for so few balls
+            fields = self._finished(self._together, np.asarray(points, float))
         for place, z in enumerate(points):
             self._ready[np.asarray(z, float).tobytes()] = {name: values[place] for name, values in fields.items()}
 
