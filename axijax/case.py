@@ -116,17 +116,26 @@ SECTIONS = {
 
 def load_case(path: Path | str) -> Case:
     """Read a case file. Raises ValueError, naming file, field, value and what is allowed."""
+    return make_case(read_toml(path), str(path))
+
+
+def read_toml(path: Path | str) -> dict:
+    """What a TOML file holds. Raises ValueError where it cannot be read."""
     try:
         with open(path, "rb") as file:
-            data = tomllib.load(file)
+            return tomllib.load(file)
     except OSError as error:
         raise ValueError(f"case file '{path}' cannot be read: {error.strerror}.") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"case file '{path}' is not valid TOML: {error}.") from None
+
+
+def make_case(data: dict, source: str) -> Case:
+    """A case from what a file called `source` holds. Raises ValueError like `load_case`."""
     try:
         return Case.model_validate(_whole_numbers_as_floats(data))
     except ValidationError as error:
-        raise ValueError(f"case file '{path}': {_sentence(error)}") from None
+        raise ValueError(f"case file '{source}': {_sentence(error)}") from None
 
 
 def _whole_numbers_as_floats(data: dict) -> dict:

@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from axijax.cli_batch import batch
+
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
@@ -130,6 +132,9 @@ def run(
     console.print("Written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
 
 
+app.command()(batch)
+
+
 def _table(rows):
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
@@ -164,9 +169,10 @@ def _table(rows):
 
 def main() -> None:
     """Entry point: a mistake of the user's, or a run that went wrong, ends in one sentence and exit code 1."""
-    from axijax.platform import fast_cpu_kernels
+    from axijax.platform import fast_cpu_kernels, use_compilation_cache
 
     fast_cpu_kernels()
+    use_compilation_cache()
     try:
         app()
     except (ValueError, RuntimeError, OSError) as error:

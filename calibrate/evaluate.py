@@ -8,10 +8,11 @@ import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
-from calibrate.model import Cost, Model, RunFailed, jacobian_of, stretch_tangent
+from calibrate.model import FIELDS, Cost, Model, RunFailed, jacobian_of, stretch_tangent
 
 
 @dataclass(frozen=True)
@@ -19,16 +20,15 @@ class Evaluation:
     """One point of a fit; M numbers, P parameters, tangents along D of them.
 
     coordinates: (P,). prediction: (M,), NaN for a failed run. jacobian: (M, D) in coordinates, or None.
-    stretch: (M,) derivative to log kn at fixed ks/kn by the strain stretch. failed: why, or None. rise: strain of half
-    the rise to the peak; peak: largest R (both for the start by rule). replayed: read from the log, nothing was run.
+    stretch: (M,) derivative to log kn at fixed ks/kn by the strain stretch. curve: the run's fields, None where it
+    failed. failed: why, or None. replayed: read from the log, nothing was run.
     """
 
     coordinates: np.ndarray
     prediction: np.ndarray
     jacobian: np.ndarray | None
     stretch: np.ndarray
-    peak: float
-    rise: float
+    curve: SimpleNamespace | None
     failed: str | None = None
     replayed: bool = False
 
@@ -101,18 +101,41 @@ class Evaluator:
         """One run."""
         return self._evaluate(np.asarray(z, float), ())
 
+    def values(self, points) -> list[Evaluation]:
+        """One run each, several cores at a time, logged as they come; a run that fails leaves the others alone."""
+        from axijax.batch import parallel
+
+        points = [np.asarray(z, float) for z in points]
+        found: dict[int, Evaluation] = {}
+
+        def run(number):
+            known = (tuple(points[number].tolist()), ()) in self._known
+            return None if known else self.model.run(points[number])
+
+        def finished(place, curve):
+            if isinstance(curve, Exception) and not isinstance(curve, RunFailed):
+                raise curve
+            found[numbers[place]] = self._evaluate(points[numbers[place]], (), curve)
+
+        numbers = [0]  # the first by itself: it compiles
+        parallel(run, numbers, finished=finished)
+        numbers = list(range(1, len(points)))
+        parallel(run, numbers, finished=finished)
+        return [found[number] for number in range(len(points))]
+
     def tangents(self, z, along) -> Evaluation:
         """Value and tangents along the parameters of these places in the set, in one pass."""
         return self._evaluate(np.asarray(z, float), tuple(along))
 
-    def _evaluate(self, z, along) -> Evaluation:
+    def _evaluate(self, z, along, curve=None) -> Evaluation:
         key = (tuple(z.tolist()), along)
         found = self._known.get(key)
-        result = self._restored(z, found) if found else self._fresh(z, along)
+        result = self._restored(z, found) if found else self._fresh(z, along, curve)
         self.evaluations.append(result)
         return result
 
-    def _fresh(self, z, along) -> Evaluation:
+    def _fresh(self, z, along, curve) -> Evaluation:
+        """curve: of a run made before, or the RunFailed that it ended with."""
         start = time.perf_counter()
         slopes, failed = None, None
         nothing = np.full(self.observed.size, np.nan)
@@ -121,12 +144,13 @@ class Evaluator:
                 curve, tangents = self.model.run_with_tangents(z, np.eye(len(z))[list(along)])
                 slopes = np.concatenate([jacobian_of(target, curve, tangents)[1] for target in self.targets])
             else:
-                curve = self.model.run(z)
+                curve = self.model.run(z) if curve is None else curve
+                if isinstance(curve, RunFailed):
+                    raise curve
             prediction = self.predict(curve)
             one = stretch_tangent(curve)
             stretch = np.concatenate([jacobian_of(target, curve, one)[1][:, 0] for target in self.targets])
-            top = float(np.max(curve.stress_ratio))
-            rise = half_rise_strain(curve.axial_strain, curve.stress_ratio)
+            kept = SimpleNamespace(**{name: getattr(curve, name) for name in FIELDS if hasattr(curve, name)})
             if not np.isfinite(prediction).all():
                 failed = "a target is not finite: the run does not reach its strain"
             elif slopes is not None and not np.isfinite(slopes).all():
@@ -134,8 +158,8 @@ class Evaluator:
         except RunFailed as error:
             failed = str(error)
         if failed:
-            prediction, slopes, stretch, top, rise = nothing, None, nothing, np.nan, np.nan
-        result = Evaluation(z, prediction, slopes, stretch, top, rise, failed)
+            prediction, slopes, stretch, kept = nothing, None, nothing, None
+        result = Evaluation(z, prediction, slopes, stretch, kept, failed)
         self._write(result, along, time.perf_counter() - start)
         return result
 
@@ -190,8 +214,7 @@ class Evaluator:
                 "prediction": result.prediction.tolist(),
                 "jacobian": None if result.jacobian is None else result.jacobian.tolist(),
                 "stretch": result.stretch.tolist(),
-                "peak": result.peak,
-                "rise": result.rise,
+                "curve": {name: values.tolist() for name, values in vars(result.curve).items()},
             }
         with self._path.open("a") as file:
             file.write(json.dumps(entry) + "\n")
@@ -199,15 +222,14 @@ class Evaluator:
     def _restored(self, z, entry) -> Evaluation:
         if entry["failed"]:
             nothing = np.full(self.observed.size, np.nan)
-            return Evaluation(z, nothing, None, nothing, np.nan, np.nan, entry["failed"], True)
+            return Evaluation(z, nothing, None, nothing, None, entry["failed"], True)
         slopes = None if entry["jacobian"] is None else np.array(entry["jacobian"])
         return Evaluation(
             z,
             np.array(entry["prediction"]),
             slopes,
             np.array(entry["stretch"]),
-            entry["peak"],
-            entry["rise"],
+            SimpleNamespace(**{name: np.array(values) for name, values in entry["curve"].items()}),
             None,
             True,
         )

@@ -1,8 +1,8 @@
 """Least-squares fits of a few parameters, through scipy.optimize.least_squares with tangents for the Jacobian.
 
-The economical way, the default (PHYSICS 3.3 and issue 6 for the counts behind it): one run at the start, a second point
-by the rule of `start.py`, there one pass with tangents, and after that single runs, with the tangents kept while the
-misfit falls fast and the stiffness column always fresh and free from the strain stretch. The fit stops when the step
+The economical way, the default: single runs, each carried over to the data by similarity (`start.py`), until that moves
+little; there one pass with tangents, and after that single runs again, with the tangents kept while the misfit falls
+fast and the stiffness column always fresh and free from the strain stretch (PHYSICS 3.3). The fit stops when the step
 that the linear model still wants is below the tolerance or a tenth of a standard error. A failed run is a rejected
 step.
 """
@@ -23,6 +23,7 @@ from calibrate.start import corrected_by_run, start_by_rule
 Jacobian = Literal["economical", "tangent", "difference"]
 DIFFERENCE_STEP = 1e-4  # of the coordinates, for jacobian="difference"
 GOOD_PROGRESS = 0.3  # tangents are kept while the misfit that they can explain falls below this share of what it was
+SCATTERED = 0.5  # standard errors; a smaller step that does not shrink from run to run is the runs' own scatter
 RULE_RUNS, RULE_MOVE = 4, 0.3  # most runs by the rule; the move of a coordinate after which tangents take over
 
 
@@ -55,10 +56,11 @@ def fit_parameters(
     bounds: {name: (lower, upper)} physical. priors: {name: Prior}.
     jacobian: "economical" (see the module), "tangent" (a fresh pass at every point), "difference" (two-point, step
         1e-4: on smooth runs it beats a tangent that costs more than about 0.7 of a run, and fails where runs scatter).
-    by_rule: let the second point be the rule scaled by the first run.
+    by_rule: begin with runs carried over by similarity, four at most.
     tolerance: smallest step of a log or logit that is still worth a run [-].
     max_runs: forward-equivalent runs after which to stop.
-    starts: with more than one, so many random starts within the bounds are run first and the best is fitted from.
+    starts: with more than one, so many starts are run first, one a core at a time, the others random within the bounds,
+        and the fit goes on from the best; a start whose run fails is passed over.
     log: file for every evaluation; named again it resumes.
 
     Raises ValueError for what cannot be fitted (fewer numbers than parameters, say), RunFailed where no start gives a
@@ -112,13 +114,11 @@ def _first_point(model: Model, evaluator: Evaluator, start, starts: int, seed: i
         return first
     low, high = model.parameters.limits()
     random = np.random.default_rng(seed).uniform(low, high, (starts - 1, len(low)))
-    best, least = first, np.inf
-    for z in [first, *random]:
-        tried = evaluator.value(z)
-        misfit = np.sum(((tried.prediction - evaluator.observed) / evaluator.sigma) ** 2)
-        if not tried.failed and misfit < least:
-            best, least = z, misfit
-    return best
+    points = [first, *random]
+    tried = evaluator.values(points)
+    misfit = [np.sum(((one.prediction - evaluator.observed) / evaluator.sigma) ** 2) for one in tried]
+    # A start whose run failed has no misfit, and is passed over.
+    return points[int(np.nanargmin(misfit))] if np.isfinite(misfit).any() else first
 
 
 class _Search:
@@ -132,6 +132,7 @@ class _Search:
         self.latest: dict[tuple, Evaluation] = {}
         self.kept: np.ndarray | None = None  # (M, P) of the last pass
         self.kept_misfit = np.inf  # the explainable part of the misfit at the last accepted point
+        self.wanted = np.inf  # the step that the linear model still wants, in standard errors
         self.point: np.ndarray | None = None
         self.slopes: np.ndarray | None = None
         # Every target known with its own uncertainty, or only the proportion of the weights?
@@ -162,10 +163,10 @@ class _Search:
         return "converged" if found.status > 0 else "stopped: too many steps"
 
     def _by_rule(self, first: np.ndarray) -> np.ndarray:
-        """Single runs, each scaled to the data by the rule, until it asks for no more than a last small move."""
+        """Single runs, each carried over to the data by similarity, until that asks for a last small move."""
         for _ in range(RULE_RUNS):
             tried = self._evaluate(first)
-            better = corrected_by_run(self.parameters, self.evaluator.targets, tried)
+            better = corrected_by_run(self.evaluator, tried, (self.prior_rows, self.prior_centres))
             if better is None:
                 break
             move, first = np.abs(better - first).max(), better
@@ -236,6 +237,8 @@ class _Search:
             slopes = self._assembled(evaluation)
         misfit = self._explainable(z, slopes, residual)
         if not fresh and misfit > GOOD_PROGRESS * self.kept_misfit:
+            if self.wanted < SCATTERED:
+                raise _Stop("converged")
             evaluation = self.evaluator.tangents(z, self._along())
             self.latest[tuple(np.asarray(z).tolist())] = evaluation
             if not evaluation.failed:
@@ -254,7 +257,9 @@ class _Search:
         step, *_ = np.linalg.lstsq(weighted, -residual, rcond=1e-8)
         left = residual + weighted @ step
         covariance, *_ = uncertainty(self.parameters, left, weighted, self.sigma_known)
-        if (np.abs(step) <= np.maximum(self.tolerance, 0.1 * np.sqrt(np.diag(covariance)))).all():
+        error = np.sqrt(np.diag(covariance))
+        self.wanted = float((np.abs(step) / error).max())
+        if (np.abs(step) <= np.maximum(self.tolerance, 0.1 * error)).all():
             raise _Stop("converged")
         return float(residual @ residual - left @ left)
 

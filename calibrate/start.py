@@ -1,12 +1,15 @@
 """Where a fit begins: friction from the peak by Thornton's inverse, stiffness from the rise, then both put right by one
-run.
+run or two, each carried over to other parameters by similarity.
 
 The formulas hold for face-centred cubic arrays; for other specimens they are a first guess that the first run corrects:
 what counts is the ratio of the run to the formula at the run's own parameters.
 """
 
+from types import SimpleNamespace
+
 import numpy as np
 
+from axijax.theory import fcc_first_slip, fcc_horizontal_opening_strain, fcc_stress_ratio, fcc_youngs_modulus
 from calibrate.evaluate import half_rise_strain
 from calibrate.measured import MeasuredCurve
 from calibrate.targets import HardPeak, SmoothPeak, WindowMean
@@ -37,8 +40,6 @@ def thornton_inverse(stress_ratio: float) -> float:
 
 def start_by_rule(simulator, parameters, targets) -> np.ndarray:
     """(P,) coordinates of a start within the limits; what no rule reaches takes the simulator's own value."""
-    from axijax.theory import fcc_first_slip, fcc_youngs_modulus
-
     values = {}
     peak, rise = observed_peak(targets), observed_rise(targets)
     reference = parameters.reference
@@ -62,22 +63,65 @@ def start_by_rule(simulator, parameters, targets) -> np.ndarray:
     return _within(parameters, values)
 
 
-def corrected_by_run(parameters, targets, evaluation) -> np.ndarray | None:
-    """(P,) coordinates after one run anywhere: the formula scaled to the run's peak, strains scaled to its rise.
-    None where the targets show neither, or the run failed."""
-    peak, rise = observed_peak(targets), observed_rise(targets)
-    if evaluation.failed or peak is None:
+def similar_curve(curve, before, after, stretch: float) -> SimpleNamespace:
+    """The curve that a run predicts at another friction and stiffness, with no run.
+
+    curve: the run's fields of (T,). before, after: friction of the run and of the prediction [-]. stretch: kn / s3 of
+    the prediction over the run's [-].
+    R - 1 scales as Thornton's peak does; strains as the strain at which FCC's horizontal contacts open, which is where
+    R peaks, s3/kn (3+f)/(1-f) (PHYSICS 3.3). Beyond the run's end the last value is held.
+    """
+    formula, found = fcc_stress_ratio(before), float(np.max(curve.stress_ratio))
+    # How far this specimen is off the formula; a run that still rises at its end only says how far at least.
+    share = found / formula if np.argmax(curve.stress_ratio) < curve.stress_ratio.size - 1 else max(found / formula, 1)
+    higher = (share * fcc_stress_ratio(after) - 1) / (share * formula - 1)
+    opening = [fcc_horizontal_opening_strain(friction, 1.0, 1.0, 1.0) for friction in (before, after)]
+    faster = stretch * opening[0] / opening[1]
+    strain = np.asarray(curve.axial_strain)
+    fields = {"axial_strain": strain}
+    for name in ("stress_ratio", "virial_ratio", "core_ratio"):
+        if hasattr(curve, name):
+            fields[name] = 1 + higher * (np.interp(faster * strain, strain, getattr(curve, name)) - 1)
+    if hasattr(curve, "volumetric_strain"):
+        fields["volumetric_strain"] = np.interp(faster * strain, strain, curve.volumetric_strain) / faster
+    return SimpleNamespace(**fields)
+
+
+def corrected_by_run(evaluator, evaluation, prior_rows) -> np.ndarray | None:
+    """(P,) coordinates at which the run, carried over by `similar_curve`, fits the targets best; kn and ks move
+    together. None where the run failed or nothing that similarity knows is fitted.
+
+    prior_rows: (Q, P) and (Q,) as `fit` makes them.
+    """
+    from scipy.optimize import least_squares
+
+    parameters = evaluator.model.parameters
+    names = parameters.names
+    with_friction, with_stiffness = "friction" in names, "normal_stiffness" in names
+    if evaluation.failed or not (with_friction or with_stiffness):
         return None
-    values = parameters.values(evaluation.coordinates)
-    if "friction" in values:
-        formula = 2 * (1 + values["friction"]) / (1 - values["friction"])
-        values["friction"] = thornton_inverse(peak * formula / evaluation.peak)
-    if rise and "normal_stiffness" in values:
-        factor = evaluation.rise / rise
-        for name in ("normal_stiffness", "shear_stiffness"):
-            if name in values:
-                values[name] *= factor
-    return _within(parameters, values)
+    low, high = parameters.limits()
+    here = np.clip(evaluation.coordinates, low, high)
+    stiff = [names.index(name) for name in ("normal_stiffness", "shear_stiffness") if name in names]
+    directions = []
+    if with_friction:
+        directions.append(np.eye(len(names))[names.index("friction")])
+    if with_stiffness:
+        directions.append(np.eye(len(names))[stiff].sum(axis=0))
+    directions = np.array(directions)
+    friction = parameters.values(here).get("friction", parameters.reference["friction"])
+
+    def residual(moves):
+        z = np.clip(here + moves @ directions, low, high)
+        moved = z - here
+        stretch = np.exp(moved[names.index("normal_stiffness")]) if with_stiffness else 1.0
+        curve = similar_curve(evaluation.curve, friction, parameters.values(z).get("friction", friction), stretch)
+        misfit = (evaluator.predict(curve) - evaluator.observed) / evaluator.sigma
+        # What the targets do not feel stays where it is.
+        return np.concatenate([np.nan_to_num(misfit), prior_rows[0] @ z - prior_rows[1], 1e-3 * moves])
+
+    found = least_squares(residual, np.zeros(len(directions)), diff_step=1e-3, xtol=1e-4, ftol=1e-6, max_nfev=30)
+    return _within(parameters, parameters.values(here + found.x @ directions))
 
 
 def _within(parameters, values) -> np.ndarray:

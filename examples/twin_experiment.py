@@ -6,15 +6,16 @@
 A curve R(eps) is made with hidden (f), (f, kn) and (f, kn, ks), bare, with 1 % noise and (f, kn) with 0.1 % scatter
 from run to run. Each method begins at the same random starts, f in 0.02..0.5 and stiffness over a factor of 30,
 searches in the same coordinates (logit f, log k) and box, and is counted in forward-equivalent runs, a tangent at its
-measured cost. Solved: within 1 % of every parameter (bare, scatter) or within two standard errors of the best possible
-fit (noise). GrainLearning draws its own first samples in the box, and its 20 samples of a round run together in one
-batch. Peers are used where importable: cma, grainlearning
-(development extras). Written: twin_experiment.csv, one row a start, and twin_experiment.png, fraction solved against
-runs: for each number of runs the share of starts whose best point so far is right, a dot where the method stopped by
-itself.
+measured cost. Solved: every parameter within 1 % (bare, scatter) or within two standard errors of the best possible fit
+(noise: there even that fit itself misses now and then, by definition one time in eleven for two parameters; the dashed
+line is the share of these starts in which it does not). GrainLearning draws its own first samples in the box, and its
+20 samples of a round run together in one batch. Peers are used where importable: cma, grainlearning (development
+extras). Written: twin_experiment.csv, one row a start, and twin_experiment.png, fraction solved against runs: for each
+number of runs the share of starts whose best point so far is right, a dot where the method stopped by itself.
 
 --quick: the small specimen, (f, kn) only, three starts; a few minutes on one core. --draw: only draw the table that is
-in the folder. Each method may spend 140 runs, Adam 30 passes.
+in the folder. Each method may spend 200 runs, Adam 50 passes. Stopped and started again with the same folder, the
+program goes on behind the last row of the table.
 """
 
 import argparse
@@ -47,7 +48,7 @@ BOX["shear_stiffness"] = BOX["normal_stiffness"]
 PROBLEMS = {"f": "f", "f, kn": "f,kn", "f, kn, ks": "f,kn,ks"}
 CONDITIONS = ("bare", "noise 1 %", "scatter 0.1 %")
 STRAINS = np.linspace(2e-4, 0.005, 60)
-LIMIT = 140  # runs
+LIMIT = 200  # runs
 COLOURS = {
     "ours": "C3",
     "ours from the rule": "C1",
@@ -69,7 +70,9 @@ class Batched(Model):
 
     def prepare(self, points) -> None:
         """Run (B, P) points at once; `run` then hands them out."""
-        fields = self._finished(self._together, np.asarray(points, float))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # a vmap on a CPU is slow, but not for so few balls
+            fields = self._finished(self._together, np.asarray(points, float))
         for place, z in enumerate(points):
             self._ready[np.asarray(z, float).tobytes()] = {name: values[place] for name, values in fields.items()}
 
@@ -102,6 +105,7 @@ class Problem:
     data: MeasuredCurve
     hidden: np.ndarray
     spread: np.ndarray  # standard errors of the coordinates in the best possible fit (noise)
+    best: np.ndarray  # coordinates of the best possible fit
 
     def solved(self, z) -> bool:
         if self.condition.startswith("noise"):
@@ -129,7 +133,7 @@ def by_fit(rule: bool = False, adam: bool = False, **options):
     def method(problem: Problem, start: dict, seed: int, limit: int):
         model = problem.model
         if adam:
-            found = fit_by_descent(model, problem.data, "", start=start, learning_rate=0.15, steps=30)
+            found = fit_by_descent(model, problem.data, "", start=start, learning_rate=0.15, steps=50)
         else:
             begin = "rule" if rule else start
             found = fit_parameters(model, problem.data, "", start=begin, max_runs=limit, **options)
@@ -216,6 +220,8 @@ METHODS = {
     "GrainLearning, defaults": by_grainlearning(False),
 }
 NEEDS = {"CMA-ES": "cma", "GrainLearning, tutorial": "grainlearning", "GrainLearning, defaults": "grainlearning"}
+BEST = "best possible fit"
+HEADER = ("problem", "condition", "method", "start", "runs_until_solved", "runs_at_stop", "solved_at_stop", "seconds")
 IN_SCATTER = ("ours", "ours from the rule", "ours, fresh tangents", "differences")
 
 
@@ -240,14 +246,16 @@ def make_problem(label: str, condition: str, models: dict, noise_seed: int) -> P
     ratio = np.interp(STRAINS, clean.axial_strain, clean.stress_ratio)
     noise = 0.01 if condition.startswith("noise") else 0.0
     ratio = ratio * (1 + noise * np.random.default_rng(1000 + noise_seed).standard_normal(ratio.size))
-    spread = np.zeros(len(hidden))
+    spread, best = np.zeros(len(hidden)), hidden
     data = MeasuredCurve(STRAINS, ratio, ratio_sigma=0.01 * ratio, sigma_known=False)
     if noise:
-        slopes = (
-            Evaluator(models[label, False], data).tangents(hidden, range(len(hidden))).jacobian / data.sigma[:, None]
-        )
+        evaluator = Evaluator(models[label, False], data)
+        for _ in range(3):  # Gauss-Newton from the answer, which is near
+            one = evaluator.tangents(best, range(len(hidden)))
+            slopes = one.jacobian / data.sigma[:, None]
+            best = best - np.linalg.lstsq(slopes, (one.prediction - data.observed) / data.sigma)[0]
         spread = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
-    return Problem(label, condition, model, data, hidden, spread)
+    return Problem(label, condition, model, data, hidden, spread, best)
 
 
 def main() -> None:
@@ -291,7 +299,7 @@ def main() -> None:
         )
         parameters = ParameterSet.of(base.params, names, {n: BOX[n] for n in ParameterSet.of(base.params, names).names})
         model = Batched(base, parameters)
-        cost = model.measure_tangent_cost()
+        cost = model.measure_tangent_cost(repeats=20)
         # The economical way runs fewer tangents in a pass, another program: compiled here, not within a fit.
         model.run_with_tangents(parameters.coordinates(), np.eye(len(parameters))[:1])
         model.run_with_tangents(parameters.coordinates(), np.eye(len(parameters))[: max(1, len(parameters) - 1)])
@@ -303,68 +311,66 @@ def main() -> None:
 
     folder = Path(options.output)
     folder.mkdir(parents=True, exist_ok=True)
-    curves: dict = {}
-    with (folder / "twin_experiment.csv").open("w", newline="") as file:
+    table = folder / "twin_experiment.csv"
+    curves = read_table(table) if table.exists() else {}
+    with table.open("a", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(
-            [
-                "problem",
-                "condition",
-                "method",
-                "start",
-                "runs_until_solved",
-                "runs_at_stop",
-                "solved_at_stop",
-                "seconds",
-            ]
-        )
-        for label in labels:
-            for condition in CONDITIONS:
-                if condition.startswith("scatter") and label != "f, kn":
-                    continue
-                for k in range(starts):
-                    problem = make_problem(label, condition, models, k)
-                    random = np.random.default_rng(k)
-                    values = {n: float(np.exp(random.uniform(*np.log(BOX[n])))) for n in problem.model.parameters.names}
-                    if "friction" in values:
-                        values["friction"] = float(random.uniform(*BOX["friction"]))
-                    for name in wanted:
-                        if condition.startswith("scatter") and name not in IN_SCATTER:
-                            continue
-                        if name == "CMA-ES" and len(problem.hidden) == 1:
-                            continue  # the package takes two parameters or more
-                        clock = time.perf_counter()
-                        try:
-                            path, end = METHODS[name](problem, values, k, LIMIT)
-                        except RunFailed:  # no start of its own gave a sound run
-                            path, end = [(float(LIMIT), None)], np.full(len(problem.hidden), np.nan)
-                        seconds = time.perf_counter() - clock
-                        right = [cost for cost, z in path if z is not None and problem.solved(z)]
-                        row = [
-                            label,
-                            condition,
-                            name,
-                            k,
-                            right[0] if right else np.inf,
-                            path[-1][0],
-                            problem.solved(end),
-                            seconds,
-                        ]
-                        writer.writerow([*row[:4], *(f"{x:.2f}" for x in row[4:6]), int(row[6]), f"{seconds:.2f}"])
-                        file.flush()
-                        curves.setdefault((label, condition), {}).setdefault(name, []).append(row)
-                report(label, condition, curves[label, condition])
-                draw(curves, folder / "twin_experiment.png")
-    print(f"written: {folder / 'twin_experiment.csv'}, {folder / 'twin_experiment.png'}")
+        if not curves:
+            writer.writerow(HEADER)
+        for label, condition in [(label, condition) for label in labels for condition in CONDITIONS]:
+            if condition.startswith("scatter") and label != "f, kn":
+                continue
+            methods = curves.setdefault((label, condition), {})
+            for k in range(starts):
+                problem = make_problem(label, condition, models, k)
+                random = np.random.default_rng(k)
+                values = {n: float(np.exp(random.uniform(*np.log(BOX[n])))) for n in problem.model.parameters.names}
+                if "friction" in values:
+                    values["friction"] = float(random.uniform(*BOX["friction"]))
+                for name in [BEST, *wanted] if condition.startswith("noise") else wanted:
+                    if (condition.startswith("scatter") and name not in IN_SCATTER) or (
+                        name == "CMA-ES" and len(problem.hidden) == 1  # the package takes two parameters or more
+                    ):
+                        continue
+                    rows = methods.setdefault(name, [])
+                    if any(row[3] == k for row in rows):
+                        continue
+                    rows.append(row := one_row(problem, name, values, k))
+                    writer.writerow([*row[:4], *(f"{x:.2f}" for x in row[4:6]), int(row[6]), f"{row[7]:.2f}"])
+                    file.flush()
+            report(label, condition, methods)
+            draw(curves, folder / "twin_experiment.png")
+    print(f"written: {table}, {folder / 'twin_experiment.png'}")
+
+
+def one_row(problem: Problem, name: str, start: dict, k: int) -> list:
+    """One method from one start: what a row of the table holds."""
+    if name == BEST:
+        path, end, seconds = [(0.0, problem.best)], problem.best, 0.0
+    else:
+        clock = time.perf_counter()
+        try:
+            path, end = METHODS[name](problem, start, k, LIMIT)
+        except RunFailed:  # no start of its own gave a sound run
+            path, end = [(float(LIMIT), None)], np.full(len(problem.hidden), np.nan)
+        seconds = time.perf_counter() - clock
+    right = [cost for cost, z in path if z is not None and problem.solved(z)]
+    first = right[0] if right else np.inf
+    return [problem.label, problem.condition, name, k, first, path[-1][0], problem.solved(end), seconds]
+
+
+def read_table(path: Path) -> dict:
+    """{(problem, condition): {method: rows}} of a table written before."""
+    curves: dict = {}
+    with path.open(newline="") as file:
+        for label, condition, name, k, first, stop, right, seconds in list(csv.reader(file))[1:]:
+            row = [label, condition, name, int(k), float(first), float(stop), bool(int(right)), float(seconds)]
+            curves.setdefault((label, condition), {}).setdefault(name, []).append(row)
+    return curves
 
 
 def redraw(folder: Path) -> None:
-    curves: dict = {}
-    with (folder / "twin_experiment.csv").open(newline="") as file:
-        for row in list(csv.reader(file))[1:]:
-            label, condition, name, k, *numbers = row
-            whole = [label, condition, name, int(k), float(numbers[0]), float(numbers[1]), bool(int(numbers[2]))]
-            curves.setdefault((label, condition), {}).setdefault(name, []).append([*whole, float(numbers[3])])
+    curves = read_table(folder / "twin_experiment.csv")
     for (label, condition), methods in curves.items():
         report(label, condition, methods)
     draw(curves, folder / "twin_experiment.png")
@@ -385,34 +391,50 @@ def draw(curves, path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(
-        figsize=(4.6 * len(curves) if len(curves) <= 3 else 14, 4 * -(-len(curves) // 3) + 1), layout="constrained"
-    )
-    FigureCanvasAgg(figure)
     columns = min(3, len(curves))
-    panels = np.atleast_1d(figure.subplots(-(-len(curves) // columns), columns, squeeze=False)).ravel()
+    lines = -(-len(curves) // columns)
+    figure = Figure(figsize=(4.6 * columns, 3.6 * lines + 1), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(lines, columns, squeeze=False).ravel()
     for axes in panels[len(curves) :]:
         axes.set_axis_off()
-    for axes, ((label, condition), methods) in zip(panels, curves.items(), strict=False):
-        for name, rows in methods.items():
+    shown: dict = {}
+    for place, (axes, ((label, condition), methods)) in enumerate(zip(panels, curves.items(), strict=False)):
+        starts = max(map(len, methods.values()))
+        if BEST in methods:
+            share = np.mean([row[6] for row in methods[BEST]])
+            shown[BEST] = axes.axhline(share, color="k", ls="--", lw=1)
+        for name in [name for name in COLOURS if name in methods]:
+            rows = methods[name]
             first = np.sort([row[4] for row in rows])
+            solved = np.isfinite(first)
             share = np.arange(1, len(first) + 1) / len(first)
-            keep = np.isfinite(first)
-            x, y = np.concatenate([[1], first[keep], [250]]), np.concatenate([[0], share[keep], [keep.mean()]])
-            axes.step(x, y, where="post", color=COLOURS[name], label=name)
+            x, y = np.concatenate([[1], first[solved], [250]]), np.concatenate([[0], share[solved], [solved.mean()]])
+            # Two peers of one package differ by dashes; ours lie on top.
+            style = "--" if name.endswith("defaults") else "-"
+            ours = name.startswith("ours")
+            (shown[name],) = axes.step(
+                x, y, where="post", color=COLOURS[name], ls=style, lw=2 if ours else 1.3, zorder=3 if ours else 2
+            )
             stop, right = np.median([row[5] for row in rows]), np.mean([row[6] for row in rows])
-            axes.plot(stop, right, "o", color=COLOURS[name], ms=5)
+            axes.plot(stop, right, "o", color=COLOURS[name], ms=5, mec="w", mew=0.6, zorder=4, clip_on=False)
         axes.set(
             xscale="log",
             xlim=(1, 250),
-            ylim=(-0.02, 1.05),
-            xlabel="forward-equivalent runs",
-            title=f"({label}), {condition}, {max(map(len, methods.values()))} starts",
+            ylim=(0, 1.04),
+            xticks=(1, 2, 5, 10, 20, 50, 100, 200),
+            title=f"({label}), {condition}, {starts} starts",
         )
-    panels[0].set_ylabel("fraction of starts solved; dots: right at its own stop")
-    handles, names = panels[0].get_legend_handles_labels()
+        axes.set_xticklabels(["1", "2", "5", "10", "20", "50", "100", "200"])
+        axes.minorticks_off()
+        axes.grid(alpha=0.25)
+        if place % columns == 0:
+            axes.set_ylabel("fraction of starts solved")
+        if place + columns >= len(curves):
+            axes.set_xlabel("runs, a tangent at its cost")
+    figure.suptitle("dots: median runs at the method's own stop, fraction right there", fontsize="medium")
     figure.legend(
-        handles, names, frameon=False, fontsize="small", loc="outside lower center", ncols=2 if columns == 1 else 4
+        list(shown.values()), list(shown), frameon=False, loc="outside lower center", ncols=2 if columns == 1 else 5
     )
     figure.savefig(path, dpi=150)
 

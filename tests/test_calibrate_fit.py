@@ -9,6 +9,7 @@ import pytest
 from calibrate_standin import StandIn, measured
 
 from axijax.packing import fcc_octagon
+from axijax.theory import fcc_stress_ratio, stretched_stress_ratio
 from axijax.triaxial import TriaxialTest
 from calibrate.descent import fit_by_descent
 from calibrate.file import calibrate_file
@@ -17,9 +18,27 @@ from calibrate.measured import ROWE, MeasuredCurve
 from calibrate.model import Model, RunFailed
 from calibrate.parameters import ParameterSet, Prior
 from calibrate.secant import fit_friction_to_peak, fit_one
+from calibrate.start import similar_curve
 from calibrate.targets import Datum, HardPeak, WindowMean
 
 TRUTH = {"friction": 0.21, "normal_stiffness": 2.4e9, "shear_stiffness": 2.4e9}
+
+
+def test_a_run_is_carried_over_by_similarity():
+    curve = StandIn().simulate(StandIn().params)
+    curve.axial_strain, curve.stress_ratio = np.asarray(curve.axial_strain), np.asarray(curve.stress_ratio)
+    curve.volumetric_strain = np.asarray(curve.volumetric_strain)
+    softer = similar_curve(curve, 0.12278, 0.12278, 0.5)
+    wanted = np.asarray(stretched_stress_ratio(curve.axial_strain, 0.5, curve.axial_strain, curve.stress_ratio))
+    assert softer.stress_ratio == pytest.approx(wanted, rel=1e-12)
+    assert softer.volumetric_strain[40] == pytest.approx(2 * curve.volumetric_strain[20], rel=1e-12)
+    # Another friction: Thornton's peaks, at the strain where the horizontal contacts open.
+    rougher, top = similar_curve(curve, 0.12278, 0.3, 1.0), curve.stress_ratio.argmax()
+    assert rougher.stress_ratio.max() == pytest.approx(
+        curve.stress_ratio.max() * fcc_stress_ratio(0.3) / fcc_stress_ratio(0.12278), rel=1e-3
+    )
+    at = curve.axial_strain[top] * (3.3 / 0.7) / (3.12278 / 0.87722)
+    assert curve.axial_strain[rougher.stress_ratio.argmax()] == pytest.approx(at, abs=1e-4)
 
 
 @pytest.mark.parametrize("jacobian", ["economical", "tangent", "difference"])
@@ -138,12 +157,21 @@ def test_tangents_survive_scatter_that_spoils_differences():
     assert bad >= 3
 
 
-def test_multi_start_and_descent():
+def test_multi_start_and_descent(tmp_path):
     data = measured(StandIn(), **TRUTH)
     bounds = {"f": (0.02, 0.5), "kn": (3e8, 9e9)}
     found = fit_parameters(StandIn(), data, "f,kn", start="test", bounds=bounds, starts=5, jacobian="tangent")
     assert found.estimate["friction"] == pytest.approx(0.21, rel=2e-3)
     assert found.cost.runs >= 5
+    # A start that fails is passed over, each start is logged, and the log holds them all when it is named again.
+    log, fragile = tmp_path / "log.jsonl", StandIn(broken=0.3)
+    options = {"start": "test", "bounds": bounds, "starts": 12, "log": log}
+    found = fit_parameters(fragile, measured(fragile, **TRUTH), "f,kn", **options)
+    assert found.estimate["friction"] == pytest.approx(0.21, rel=2e-3)
+    assert 0 < found.failed_runs < 12 <= len(found.evaluations)
+    again = fit_parameters(fragile, measured(fragile, **TRUTH), "f,kn", **options)
+    assert again.cost.forward_equivalents == 0
+    assert again.estimate == found.estimate
     slow = fit_by_descent(StandIn(), data, "f,kn", bounds=bounds, steps=150)
     assert slow.estimate["friction"] == pytest.approx(0.21, rel=1e-2)
     assert slow.cost.passes > 10

@@ -16,6 +16,7 @@ from calibrate_standin import StandIn
 from axijax.dynamics import Params, Scene
 from axijax.lattice import lattice_load
 from axijax.packing import fcc_octagon
+from axijax.platens import wall_force
 from axijax.sector import Sector
 from axijax.triaxial import TriaxialTest
 from calibrate.descent import fit_friction_per_ball
@@ -153,6 +154,32 @@ def test_local_damping_is_unhealthy():
     assert health.largest_tangent > 1e4
 
 
+@pytest.mark.parametrize("damping", [0.05, 0.2])
+def test_a_tangent_misses_the_jump_of_a_dashpot_that_closes(damping):
+    """A ball of unit mass meets a wall (k = 1, c = 2 beta) at unit speed, after a gap g. The force jumps by c at the
+    first touch, which comes later by dg: exactly, dv/dg falls by c there. A tangent of the steps does not see it, and
+    spring and dashpot carry the error on; with a force that starts at zero there would be none."""
+    step, after = 2e-3, 0.6
+
+    def position_and_speed(gap):
+        def advance(state, _):
+            gap, speed = state
+            speed = speed + step * wall_force(gap, -speed, 1.0, 2 * damping)
+            return (gap + step * speed, speed), None
+
+        return jax.lax.scan(advance, (gap, -1.0), None, length=round((1 + after) / step))[0]
+
+    tangent = np.array(jax.jvp(position_and_speed, (1.0,), (1.0,))[1])
+    # Free motion x'' + 2 beta x' + x = 0 from (x, v) = (0, -1) at t = g; with the exact d/dg = -d/dt.
+    omega = np.sqrt(1 - damping**2)
+    decay, cos, sin = np.exp(-damping * after), np.cos(omega * after), np.sin(omega * after) / omega
+    speed = -decay * (cos - damping * sin)
+    force = decay * sin - 2 * damping * speed  # -x - 2 beta v, with x = -decay * sin
+    exact = np.array([-speed, -force])
+    missed = 2 * damping * decay * np.array([sin, cos - damping * sin])
+    assert tangent == pytest.approx(exact + missed, abs=5e-3)
+
+
 def test_reverse_mode_is_refused_with_the_fast_kernels():
     """These tests run with the fast kernels (conftest), with which reverse mode would end the process."""
     with pytest.raises(RuntimeError, match=r"friction_map needs reverse mode, .* in a process without them"):
@@ -172,8 +199,8 @@ def test_reverse_mode_in_a_process_of_its_own(tmp_path):
 
 PEAKS = {"window": WindowMean(0.0025, 0.004), "hard": HardPeak(), "strain": StrainAtPeak(), "slope": InitialSlope()}
 LIMITS = {"window": (2e-3, 1e-2), "hard": (1e-2, 1e-2), "strain": (1e-2, 1e-2), "slope": (1e-2, 1e-2)}
-# At f = 0.3 the tangent is right up to 0.3 % strain and parts from the differences at the top, to log kn by 12 %
-# at every h; the cause is not known (perhaps the dashpots' jump where contacts close again). So the window ends before.
+# At f = 0.3 the specimen loses its up-down symmetry between 0.35 and 0.45 % strain, from rounding: past that, runs that
+# differ by 1e-9 part by 1e-8 in R, and a tangent is that of one of the ways to buckle. So the window ends before.
 PEAKS_STRONG = PEAKS | {"window": WindowMean(0.002, 0.003)}
 LIMITS_STRONG = LIMITS | {"hard": (1e-2, 3e-2), "strain": (np.inf, np.inf)}
 
