@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from axijax.cli_pictures import register
+
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
@@ -128,6 +130,9 @@ def run(
         highlight=False,
     )
     console.print("Written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
+
+
+register(app)
 
 
 def _table(rows):

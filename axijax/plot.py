@@ -115,6 +115,13 @@ def labels(results: Sequence[Result]) -> list[str]:
     ]
 
 
+def thornton_ratio(case: "Case") -> float | None:
+    """Thornton's stress ratio of the ideal array where the specimen is an FCC one, 2 (1 + f) / (1 - f) [-]."""
+    if not case.specimen.kind.startswith("fcc"):
+        return None
+    return float(theory.fcc_stress_ratio(case.parameters.friction if case.scene.friction else 0.0))
+
+
 def _short(value) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
@@ -130,8 +137,8 @@ def curve_figure(results: Sequence[Result], data: Measured | None = None) -> Fig
         strain = 100 * curve.axial_strain.values
         upper.plot(strain, curve.stress_ratio.values, style, color=colour, label=name)
         lower.plot(strain, 100 * curve.volumetric_strain.values, style, color=colour)
-        if case is not None and case.specimen.kind.startswith("fcc") and case.scene.friction:
-            ratio = theory.fcc_stress_ratio(case.parameters.friction)
+        ratio = None if case is None else thornton_ratio(case)
+        if case is not None and ratio is not None:
             label = f"Thornton (1979), f = {case.parameters.friction:g}"
             drawn = {line.get_label() for line in upper.lines}
             if label not in drawn:
@@ -168,7 +175,7 @@ def plot_result(
     known = ("curve", *pictures.KINDS)
     for kind in kinds:
         if kind not in known:
-            near = difflib.get_close_matches(kind, known, n=1)
+            near = difflib.get_close_matches(kind, known, n=1, cutoff=0.4)
             hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}."
             raise ValueError(f"kind = '{kind}' is no picture; {hint}")
     count = sum(1 if kind == "curve" else len(results) for kind in kinds)
