@@ -5,7 +5,9 @@ from typing import Annotated
 
 import typer
 
-_RESULTS = typer.Argument(metavar="RESULT...", help="Folders that `axijax run` made, or files of curves (curve.nc).", show_default=False)
+_RESULTS = typer.Argument(
+    metavar="RESULT...", help="Folders that `axijax run` made, or files of curves (curve.nc).", show_default=False
+)
 _DATA = typer.Option(help="Measured curve to overlay, CSV with columns such as 'axial_strain [%]' and 'stress_ratio'.")
 
 
@@ -20,8 +22,8 @@ def plot(
     kind: Annotated[
         list[str] | None,
         typer.Option(
-            help="Picture: curve (all results in one), force-network, fabric-rose, membrane-cells, section, specimen, or "
-            "all; may be given several times.",
+            help="Picture: curve (all results in one), force-network, fabric-rose, membrane-cells, section, specimen, "
+            "or all; may be given several times.",
             show_default="curve",
         ),
     ] = None,
@@ -72,7 +74,9 @@ def report(
 
 
 def snapshot(
-    result: Annotated[Path, typer.Argument(metavar="RESULT", help="Folder that `axijax run` made.", show_default=False)],
+    result: Annotated[
+        Path, typer.Argument(metavar="RESULT", help="Folder that `axijax run` made.", show_default=False)
+    ],
     full: Annotated[bool, typer.Option(help="Fill in the sector's images to the whole cylinder.")] = False,
     output: Annotated[
         Path | None,

@@ -19,7 +19,7 @@ SHADES = 7  # discs that shade one ball
 
 
 def force_network(seen: Snapshot) -> Figure:
-    """Touching contacts in a section a ball thick beside the axis, coloured by sliding, as wide as their normal force."""
+    """Touching contacts in a section a ball thick beside the axis, coloured by sliding, wide by normal force."""
     unit = float(seen.balls.radius.mean())
     contacts = seen.contacts
     start, end = _to_section(seen, contacts.start), _to_section(seen, contacts.end)

@@ -28,10 +28,10 @@ CAPTIONS = {
     "specimen": "The specimen: the balls that are simulated, and their images.",
     "section": "Vertical section and plan, coloured by the mean stress of each ball.",
     "force-network": "Contact forces in the vertical section; lines are as wide as the normal force.",
-    "fabric-rose": "Directions of the contact normals; 1 where all directions are alike. Axisymmetric, so one quadrant is "
-    "shown four times.",
-    "membrane-cells": "The membrane's cells on the unfolded cylinder: each outer ball carries the confining stress on its "
-    "cell.",
+    "fabric-rose": "Directions of the contact normals; 1 where all directions are alike. Axisymmetric, so one quadrant "
+    "is shown four times.",
+    "membrane-cells": "The membrane's cells on the unfolded cylinder: each outer ball carries the confining stress on "
+    "its cell.",
 }
 
 STYLE = """
@@ -62,7 +62,8 @@ figcaption { font-size: .9rem; margin-top: .4rem; }
 .passed { color: #1a7f37; } .failed { color: #b35900; font-weight: 600; }
 .warning { border-left: 4px solid #b35900; padding: .5rem 1rem; background: #fff8f0; }
 pre { background: #f6f8fa; padding: .8rem 1rem; overflow-x: auto; font-size: .85rem; line-height: 1.4; }
-@media print { body { margin: 0; max-width: none; font-size: 10.5pt; } h2 { break-after: avoid; } pre { white-space: pre-wrap; } }
+@media print { body { margin: 0; max-width: none; font-size: 10.5pt; } h2 { break-after: avoid; }
+  pre { white-space: pre-wrap; } }
 """
 
 
