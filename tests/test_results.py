@@ -11,6 +11,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
 
+import jax
 import numpy as np
 import pytest
 from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
@@ -31,7 +32,7 @@ from axijax.vector import Vector
 from calibrate import MeasuredCurve
 
 CASE = {
-    "specimen": {"layers": 3, "half_width": 3},
+    "specimen": {"layers": 5, "half_width": 5},
     "test": {"axial_strain": 0.002, "tolerance": 1e-6, "record_every": 20},
     "parameters": {"platen_speed": 0.003},
 }
@@ -79,14 +80,15 @@ def copied(folder, tmp_path):
 def forces(result):
     """All forces of the last state, as a step finds them, and what the test observes there."""
     test, now = result.test, result.progress
-    place = now.network.positions + now.state.displacement
-    load = membrane_load(now.membrane, place, *now.state.platens)
-    given = (test.scene, now.params, now.network)
-    return (
-        all_forces(*given, load, test.time_step, now.state),
-        observe(*given, now.membrane, load, test.time_step, now.state),
-        load,
-    )
+
+    @jax.jit
+    def at(network, membrane, state, params):
+        load = membrane_load(membrane, network.positions + state.displacement, *state.platens)
+        given = (test.scene, params, network)
+        seen = observe(*given, membrane, load, test.time_step, state)
+        return all_forces(*given, load, test.time_step, state), seen, load
+
+    return at(now.network, now.membrane, now.state, now.params)
 
 
 # Reading back.
@@ -119,7 +121,9 @@ def test_an_unfinished_run_has_the_curve_up_to_its_checkpoint(result, copied):
     assert unfinished.status == "interrupted" and plot.labels([unfinished]) == ["small (interrupted)"]
     for name in RECORDS:
         np.testing.assert_array_equal(unfinished.curve[name].values, result.curve[name].values)
-    assert "Ctrl-C" in report_page([unfinished])
+    told = replace(unfinished, path=copied / "curve.nc")  # without the pictures
+    told.__dict__["case"] = result.case
+    assert "small (interrupted) has not finished (status: interrupted): Ctrl-C" in report_page([told])
     assert not result_checks(unfinished)[0].passed
 
 
@@ -161,7 +165,7 @@ DAMAGE = {
     "checkpoint cut short": (lambda path: cut(path / "checkpoint.npz"), "checkpoint.npz' is damaged"),
     "another case": (
         lambda path: (path / "case.toml").write_text(
-            (path / "case.toml").read_text().replace("half_width = 3", "half_width = 5")
+            (path / "case.toml").read_text().replace("half_width = 5", "half_width = 3")
         ),
         "is of another test",
     ),
@@ -230,12 +234,13 @@ def test_what_is_counted_is_what_the_test_observes(moment, forces):
     middle, height = moment.platens.heights.mean(), np.ptp(moment.platens.heights)
     rho, z = np.hypot(*balls.positions[:2]), balls.positions[2]
     core = (rho < seen.membrane_radius / 2) & (np.abs(z - middle) < 0.3 * height)
+    # Arms are radii there and lie on the branch here, an overlap apart.
     xx, yy, zz = ((balls.stress[a, a] * volume)[core].sum() for a in range(3))
-    assert core.sum() > 3 and zz / (0.5 * (xx + yy)) == pytest.approx(float(seen.core_ratio), rel=1e-10)
+    assert core.sum() == 6 and zz / (0.5 * (xx + yy)) == pytest.approx(float(seen.core_ratio), rel=5e-4)
 
 
 def test_stress_of_the_balls_is_the_love_weber_sum(moment, forces):
-    """Balls' stress times volume adds up to force times branch of the contacts, and radius times push at the
+    """Balls' stress times volume adds up to force times branch of the contacts, and arm times push at the
     boundaries; its vertical part to platen force times height."""
     contacts, balls = moment.contacts, moment.balls
     total = (balls.stress * 4 / 3 * np.pi * balls.radius**3).sum(-1)
@@ -244,10 +249,12 @@ def test_stress_of_the_balls_is_the_love_weber_sum(moment, forces):
     push = moment.confining_stress * balls.membrane_area * balls.radius
     unit = balls.positions[:2] / np.where(rho > 0, rho, 1)
     love_weber[:2, :2] += np.einsum("ai,bi,i->ab", unit, unit, push)
-    love_weber[2, 2] += moment.platens.forces.sum() * balls.radius[0]
+    bottom, top = (np.asarray(push)[balls.number] for push in forces[0].platen_push)
+    low, high = moment.platens.heights
+    love_weber[2, 2] += (bottom * (balls.positions[2] - low) + top * (high - balls.positions[2])).sum()
     np.testing.assert_allclose(total, love_weber, atol=1e-12 * total[2, 2])
     height = np.ptp(moment.platens.heights)
-    assert total[2, 2] == pytest.approx(moment.platens.forces.mean() * height, rel=1e-3)
+    assert total[2, 2] == pytest.approx(moment.platens.forces.mean() * height, rel=1e-4)
     assert float(forces[1].unbalanced_force) < 1e-2
 
 
@@ -255,7 +262,8 @@ def test_images_are_turned_with_all_they_carry(moment):
     """A quarter turn is (x, y, z) -> (-y, x, z), for vectors, and on both sides of a tensor."""
     balls, contacts = moment.balls, moment.contacts
     assert np.unique(balls.image).tolist() == [0, 1, 2, 3]
-    for number in (5, 12, 20):
+    off_axis = np.flatnonzero(np.hypot(*balls.positions[:2, balls.image == 0]) > 1e-6)
+    for number in off_axis[[0, 7, -1]]:
         first, second = (np.flatnonzero((balls.number == number) & (balls.image == k))[0] for k in (0, 1))
         for vectors in (balls.positions, balls.velocity, balls.spin, balls.displacement):
             np.testing.assert_allclose(vectors[:, second], QUARTER @ vectors[:, first], rtol=1e-13, atol=1e-300)
@@ -290,7 +298,9 @@ def test_cells_are_those_that_are_loaded(moment):
 def test_checks_pass_but_for_the_short_specimens_boundaries(result):
     checks = {check.name: check for check in result_checks(result, energy=True)}
     failed = [name for name, check in checks.items() if not check.passed]
-    assert failed == ["platen against core stress ratio at the peak"], "three layers are stronger than their core"
+    boundaries = [f"platen against {inner} stress ratio at the peak" for inner in ("virial", "core")]
+    assert failed == boundaries, "five layers of seventeen balls are not a continuum"
+    assert checks["platen against internal stress"].value < 1e-4
     assert 0 < checks["energy ledger closes"].value < 1e-5
     assert checks["membrane cells tile the strip"].value < 1e-12
     assert checks["unbalanced force after confinement"].limit == 1e-6
@@ -379,9 +389,11 @@ def test_files_hold_the_state(exported, moment, result):
     # The polygon of a cell is about the ball whose number it bears, of the image it bears.
     first = np.concatenate([[0], cells["offsets"][:-1]])
     for cell in (0, 17, len(first) - 1):
-        middle = corners[first[cell] : cells["offsets"][cell]].mean(0)
-        ball = np.argmin(np.linalg.norm(balls.positions.T - middle, axis=1))
-        assert (balls.number[ball], balls.image[ball]) == (data["number"][cell], data["image"][cell])
+        x, y, z = corners[cells["connectivity"][first[cell] : cells["offsets"][cell]]].mean(0)
+        ball = np.flatnonzero((balls.number == data["number"][cell]) & (balls.image == data["image"][cell]))[0]
+        place = balls.positions[:, ball]
+        turn = np.angle((x + 1j * y) / (place[0] + 1j * place[1]))
+        assert np.hypot(turn * moment.membrane.radius, z - place[2]) < balls.radius[ball]
     rim, _, _, data = read_vtu(folder / "platens_0001.vtu")
     np.testing.assert_array_equal(np.unique(rim[:, 2]), moment.platens.heights)
     np.testing.assert_array_equal(data["force"], moment.platens.forces)
@@ -565,7 +577,7 @@ def test_report_stands_alone_and_tells_all(result):
     assert f"{peak:.4g} peak stress ratio" in page.text and "9.8.7" in page.text
     for check in result_checks(result):
         assert check.name in page.text
-    assert "axijax run case.toml --output small" in page.text and "half_width = 3" in text
+    assert "axijax run case.toml --output small" in page.text and "half_width = 5" in text
 
 
 def test_report_escapes_what_it_did_not_write(result):
@@ -589,7 +601,7 @@ def test_commands_write_what_they_say(folder, tmp_path, monkeypatch):
         return outcome.output
 
     assert "small/pictures/curve.png" in call("plot", "small", "--data", "small/curve.csv")
-    assert "report.html" in call("report", "small", "small/curve.nc", "--output", "new/report.html")
+    assert "report.html" in call("report", "small/curve.nc", "small/curve.nc", "--output", "new/report.html")
     page = Page(Path("new/report.html").read_text())
     assert "Comparison" in page.text and not page.wrong and not page.fetched
     assert "balls_0000.vtu" in call("snapshot", "small")
