@@ -139,11 +139,11 @@ class TriaxialTest:
     sector: order n and boundary, by default the paper's quarter between periodic planes.
     scene: what is modelled.
     params: reference parameters; the time step and the ramp are chosen for these.
-    axial_strain: where the test stops [-].
-    time_step: [T]; None takes 0.6 of the critical one; more than 0.8 of it is refused.
-    record_every: steps between records; the membrane's cells are found again as often.
-    refresh: whether they are found again at all.
-    confine_steps: most steps spent on confinement.
+    axial_strain: where the test stops, as a share of the confined height [-].
+    time_step: length of a step [T]; left out, 0.6 of the critical one; more than 0.8 of it is refused.
+    record_every: steps between records [-].
+    refresh: whether the membrane's cells are found again with every record.
+    confine_steps: most steps spent on confinement [-].
     tolerance: unbalanced force and stress error at which confinement ends [-].
     lateral_load: a constant load in place of the membrane's (see `membrane.Load`).
     dtype: np.float64, or np.float32 (see the README's sharp bits).
@@ -227,13 +227,13 @@ class TriaxialTest:
     def run(
         self,
         params: Params | None = None,
-        progress: Callable[[float, float], None] | None = None,
+        progress: "Callable[[Progress], None] | None" = None,
         start: "Progress | None" = None,
         checkpoint: Path | None = None,
     ) -> "Run":
         """Run the test to its axial strain and return curve and final state; lists are rebuilt where needed.
 
-        progress: called with the axial strain and the stress ratio reached, about once every 1000 steps.
+        progress: called with where the test stands: once before the first step of the shear, then about every 1000.
         start: go on from here, see `axijax.checkpoint.load_progress`, instead of confining; its parameters are used.
         checkpoint: file to which the progress is written now and then, at the end and at an interruption (Ctrl-C).
 
@@ -248,10 +248,12 @@ class TriaxialTest:
             save_progress(checkpoint, self, now)
         written = time.monotonic()
         try:
+            if progress is not None:
+                progress(now)
             while now.strain < self.axial_strain:
                 now = self._go_on(now)
                 if progress is not None:
-                    progress(now.strain, float(now.records.stress_ratio[-1]))
+                    progress(now)
                 if checkpoint is not None and time.monotonic() - written > CHECKPOINT_SECONDS:
                     save_progress(checkpoint, self, now)
                     written = time.monotonic()
@@ -317,6 +319,17 @@ class Progress(NamedTuple):
     def strain(self) -> float:
         """Axial strain reached [-]."""
         return 1 - float(self.state.platens[1] - self.state.platens[0]) / self.height
+
+    @property
+    def stress_ratio(self) -> float:
+        """Stress ratio at the last record, 1 before the first [-]."""
+        return float(self.records.stress_ratio[-1]) if self.records.stress_ratio.size else 1.0
+
+    @property
+    def unbalanced_force(self) -> float:
+        """Mean resultant over mean contact force at the last record, or at the end of confinement [-]."""
+        last = self.records.unbalanced_force
+        return float(last[-1] if last.size else self.confinement.unbalanced_force)
 
 
 class Run(NamedTuple):
