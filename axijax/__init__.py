@@ -1,18 +1,26 @@
 """axijax: differentiable discrete element triaxial tests on an axisymmetric sector, in JAX.
 
-Importing this package switches JAX to 64-bit numbers, which a discrete element test needs by default.
+Importing this package switches JAX to 64-bit numbers, which a discrete element test needs by default. JAX itself is
+imported with the first name that is used, so that the command line's help is quick.
 """
 
-import jax
+import os
+import sys
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-jax.config.update("jax_enable_x64", True)
+if "jax" in sys.modules:
+    sys.modules["jax"].config.update("jax_enable_x64", True)
+else:
+    os.environ["JAX_ENABLE_X64"] = "1"
 
-from axijax import theory  # noqa: E402
-from axijax.dynamics import Params, Scene  # noqa: E402
-from axijax.packing import Specimen, fcc_cylinder, fcc_octagon  # noqa: E402
-from axijax.platform import fast_cpu_kernels  # noqa: E402
-from axijax.sector import Sector  # noqa: E402
-from axijax.triaxial import Curve, SimulationError, TriaxialTest, raise_for_status  # noqa: E402
+if TYPE_CHECKING:
+    from axijax import theory
+    from axijax.dynamics import Params, Scene
+    from axijax.packing import Specimen, fcc_cylinder, fcc_octagon
+    from axijax.platform import fast_cpu_kernels
+    from axijax.sector import Sector
+    from axijax.triaxial import Curve, SimulationError, TriaxialTest, raise_for_status
 
 __all__ = [
     "Curve",
@@ -28,3 +36,21 @@ __all__ = [
     "raise_for_status",
     "theory",
 ]
+
+# The module that each name is in.
+_HOMES = {
+    "dynamics": ("Params", "Scene"),
+    "packing": ("Specimen", "fcc_cylinder", "fcc_octagon"),
+    "platform": ("fast_cpu_kernels",),
+    "sector": ("Sector",),
+    "triaxial": ("Curve", "SimulationError", "TriaxialTest", "raise_for_status"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "theory":
+        return import_module("axijax.theory")
+    for module, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"axijax.{module}"), name)
+    raise AttributeError(f"module 'axijax' has no attribute '{name}'")

@@ -1,10 +1,14 @@
 """The command line. Heavy imports happen inside the commands, so that --help is quick."""
 
 import sys
+import warnings
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from axijax.cli_check import check
+from axijax.cli_run import fast_kernels, new, resume, run
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -12,6 +16,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Differentiable discrete element triaxial tests on an axisymmetric sector.",
 )
+
+
+def _examples(*lines: str) -> str:
+    return "Examples:\n\n" + "\n\n".join(lines)
 
 
 @app.callback()
@@ -36,6 +44,7 @@ def table1(
     from axijax import table1 as paper
     from axijax.results import writable_folder
 
+    fast_kernels()
     started = time.perf_counter()
     folder = writable_folder(output)
     console = Console()
@@ -90,44 +99,9 @@ def calibrate(
     from axijax.results import writable_folder
     from calibrate import calibrate_file
 
+    fast_kernels()
     test = (Case() if case is None else load_case(case)).build()
     calibrate_file(data, fit, test, writable_folder(output), check=check)
-
-
-@app.command()
-def run(
-    case: Annotated[Path, typer.Argument(help="Case file (TOML).")],
-    output: Annotated[Path, typer.Option(help="Folder for the curve and its picture.")] = Path("results"),
-) -> None:
-    """Run the triaxial test of a case file; writes curve.nc (with the case), curve.csv and curve.png."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-    from axijax.case import load_case
-    from axijax.results import save_run, writable_folder
-
-    loaded = load_case(case)
-    folder = writable_folder(output)
-    test = loaded.build()
-    console = Console()
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("strain {task.completed:.3f} %  R = {task.fields[ratio]:.4f}"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
-        task = bars.add_task(case.stem, total=100 * test.axial_strain, ratio=1.0)
-        done = test.run(progress=lambda strain, ratio: bars.update(task, completed=100 * strain, ratio=ratio))
-    written = save_run(folder, case.stem, loaded.model_dump_json(), done.curve)
-    peak = done.curve.stress_ratio.argmax()
-    console.print(
-        f"peak stress ratio {done.curve.stress_ratio[peak]:.4f} "
-        f"at {100 * done.curve.axial_strain[peak]:.3f} % axial strain",
-        highlight=False,
-    )
-    console.print("Written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
 
 
 def _table(rows):
@@ -162,13 +136,28 @@ def _table(rows):
     return table
 
 
-def main() -> None:
-    """Entry point: a mistake of the user's, or a run that went wrong, ends in one sentence and exit code 1."""
-    from axijax.platform import fast_cpu_kernels
+app.command(epilog=_examples("axijax new first.toml", "axijax new --kind bcc bcc.toml"))(new)
+app.command(epilog=_examples("axijax check first.toml", "axijax check results/first", "axijax check --json first.toml"))(
+    check
+)
+app.command(epilog=_examples("axijax run first.toml", "axijax run first.toml --output strong --json"))(run)
+app.command(epilog=_examples("axijax resume results/first", "axijax resume results/first --axial-strain 0.03"))(resume)
 
-    fast_cpu_kernels()
+
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point: a mistake of the user's, or a run that went wrong, ends in one sentence and an exit code.
+
+    1: something went wrong, or a check failed. 2: the command line itself. 130: interrupted, with the way to go on.
+    """
+    warnings.showwarning = lambda message, *_: print(f"axijax: warning: {message}", file=sys.stderr)
     try:
-        app()
+        return app(arguments, standalone_mode=False) or 0
     except (ValueError, RuntimeError, OSError) as error:
         print(f"axijax: {error}", file=sys.stderr)
-        sys.exit(1)
+        return 1
+    except Exception as error:
+        if not hasattr(error, "format_message"):  # not the command line's own kind
+            raise
+        if error.format_message():  # nothing after a bare `axijax`, which shows its help
+            print(f"axijax: {error.format_message()}", file=sys.stderr)
+        return 2

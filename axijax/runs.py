@@ -60,7 +60,7 @@ def run_case(
         if overwrite:
             _clear(folder, FILES)
             shutil.rmtree(folder / "snapshots", ignore_errors=True)
-        info = {"name": name, "command": list(command), "started": _now(), "seconds": 0.0, "resumed": 0}
+        info = {"name": name, "command": list(command), "started": _now(), "seconds": 0.0, "resumed": 0, "axial_strain": 0.0}
         return _run(folder, case, test, None, info, tell)
 
 
@@ -91,7 +91,7 @@ def read_info(folder: Path) -> dict[str, Any]:
     path = Path(folder) / "run.json"
     try:
         info = json.loads(path.read_text())
-        known = {"status", "name", "seconds", "resumed"} <= set(info)
+        known = {"status", "name", "message", "seconds", "resumed", "axial_strain"} <= set(info)
     except OSError as error:
         raise ValueError(f"'{folder}' is no result of axijax: its run.json cannot be read ({error.strerror}).") from None
     except (ValueError, TypeError):
@@ -108,10 +108,11 @@ def _strain_wanted(folder: Path, info: dict[str, Any], reached: float, wanted: f
         raise ValueError(
             f"result '{folder}' is finished at axial_strain = {reached:g}: to go on, {again} E` with a larger E."
         )
-    if info["status"] == "failed" and (wanted is None or wanted >= reached):
+    if info["status"] == "failed" and (wanted is None or wanted > info["axial_strain"]):
+        sound = f", or {again} E` with E up to {info['axial_strain']:.4g}, where it was sound"
         raise ValueError(
-            f"result '{folder}' failed ({info['message']}) and would again: change its case, or {again} E` with an E "
-            f"below {reached:g}, where it was still sound."
+            f"result '{folder}' failed ({info['message']}) and would again: change its case"
+            f"{sound if info['axial_strain'] > 0 else ''}."
         )
     return reached if wanted is None else wanted
 
@@ -127,21 +128,22 @@ def _run(
         info.update(seconds=round(before + time.perf_counter() - began, 3))
         write_whole(folder / "run.json", lambda target: target.write_text(json.dumps(info, indent=2) + "\n"))
 
+    def advance(now: Progress) -> None:
+        info["axial_strain"] = now.strain
+        tell(test, now)
+
     # The time step is written down, so that another version or machine goes on with the same one.
     case = case.with_test(time_step=test.time_step)
     info.update(_versions(), balls=len(test.cut))
-    with _one_sentence_for_a_full_disk(folder):
+    with _one_sentence_for_a_full_disk(folder), _sigterm_is_an_interruption():
         write_whole(folder / "case.toml", lambda target: target.write_text(to_toml(case)))
         note("running")
         try:
-            with _sigterm_is_an_interruption():
-                run = test.run(
-                    start=start, progress=lambda now: tell(test, now), checkpoint=folder / "checkpoint.npz"
-                )
-                save_run(folder, info["name"], case.model_dump_json(), run.curve)
+            run = test.run(start=start, progress=advance, checkpoint=folder / "checkpoint.npz")
+            save_run(folder, info["name"], case.model_dump_json(), run.curve)
         except KeyboardInterrupt:
             how = f"`axijax resume {folder}` goes on"
-            where = "" if (folder / "checkpoint.npz").exists() else "; it had not been confined yet and starts again"
+            where = "" if (folder / "checkpoint.npz").exists() else "; it was not confined yet and starts again"
             note("interrupted", f"stopped from outside; {how}")
             raise Interrupted(f"interrupted: {how}{where}.") from None
         except SimulationError as error:

@@ -1,0 +1,7 @@
+"""The command check."""
+
+from pathlib import Path
+
+
+def check(what: Path) -> None:
+    """TODO"""
