@@ -35,10 +35,8 @@ class Params:
 
     Defaults are those of Cui & O'Sullivan (2005), section 4.2, with friction as measured by Rowe (1962).
 
-    friction may also be (N,), one per ball: a contact takes the mean.
-
-    friction: Coulomb coefficient between balls [-].
-    normal_stiffness, shear_stiffness: spring of a contact [F/L].
+    friction: Coulomb coefficient between balls [-]; a number, or (N,) one per ball (a contact takes the mean).
+    normal_stiffness, shear_stiffness: of a contact [F/L].
     confining_stress: s3, compression positive [F/L^2].
     platen_speed: speed of each platen during shear, inward positive [L/T].
     density: of the balls [M/L^3].
