@@ -261,8 +261,7 @@ class TriaxialTest:
             # Whole segments only: after a failure or an interruption this is the last sound state.
             if checkpoint is not None:
                 save_progress(checkpoint, self, now)
-        wanted = 1 - now.records.height / now.height <= self.axial_strain
-        curve = make_curve(jax.tree.map(lambda values: values[wanted], now.records), now.confinement)
+        curve = curve_of(now, self.axial_strain)
         raise_for_status(curve.status, curve)
         _warn_of_chatter(curve)
         return Run(curve, now.network, now.membrane, now.state)
@@ -330,6 +329,12 @@ class Progress(NamedTuple):
         """Mean resultant over mean contact force at the last record, or at the end of confinement [-]."""
         last = self.records.unbalanced_force
         return float(last[-1] if last.size else self.confinement.unbalanced_force)
+
+
+def curve_of(progress: Progress, axial_strain: float) -> "Curve":
+    """The curve of what a shear has recorded up to this axial strain."""
+    wanted = 1 - progress.records.height / progress.height <= axial_strain
+    return make_curve(jax.tree.map(lambda values: values[wanted], progress.records), progress.confinement)
 
 
 class Run(NamedTuple):
