@@ -137,9 +137,9 @@ def _table(rows):
 
 
 app.command(epilog=_examples("axijax new first.toml", "axijax new --kind bcc bcc.toml"))(new)
-app.command(epilog=_examples("axijax check first.toml", "axijax check results/first", "axijax check --json first.toml"))(
-    check
-)
+app.command(
+    epilog=_examples("axijax check first.toml", "axijax check results/first", "axijax check --json first.toml")
+)(check)
 app.command(epilog=_examples("axijax run first.toml", "axijax run first.toml --output strong --json"))(run)
 app.command(epilog=_examples("axijax resume results/first", "axijax resume results/first --axial-strain 0.03"))(resume)
 

@@ -44,6 +44,7 @@ def run(
         Path | None, typer.Option(help="Folder for the result; left out: results/ and the name of the case file.")
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the result that the folder holds.")] = False,
+    snapshots: Annotated[int, typer.Option(min=0, help="Number of snapshots for ParaView, evenly over the shear.")] = 0,
     as_json: Json = False,
 ) -> None:
     """Run the triaxial test of a case file into a folder.
@@ -58,8 +59,8 @@ def run(
     loaded = load_case(case)
     folder = Path("results") / case.stem if output is None else output
     with _live(folder, as_json) as live:
-        done = run_case(loaded, folder, case.stem, live.tell, overwrite=overwrite, command=sys.argv)
-        live.finished(done)
+        options = {"overwrite": overwrite, "snapshots": snapshots, "command": ["axijax", *sys.argv[1:]]}
+        live.finished(run_case(loaded, folder, case.stem, live.tell, **options))
 
 
 def resume(
@@ -108,18 +109,19 @@ class _Live:
         self.marks: list[tuple[float, float, int]] = []  # time, strain, records
 
     def __enter__(self) -> "_Live":
-        self.show("confining", "preparing, compiling and confining")
         return self
 
     def __exit__(self, kind, error, trace) -> None:
         pass
 
-    def tell(self, test: "TriaxialTest", now: "Progress") -> None:
+    def tell(self, test: "TriaxialTest", now: "Progress | None") -> None:
         """Take note of where a run stands, and show it."""
+        if now is None:
+            return self.show("confining", f"compiling and confining {len(test.cut)} balls")
         self.marks.append((time.perf_counter(), now.strain, now.records.height.size))
         if len(self.marks) == 1:
             self.show("confined", f"confined in {int(now.confinement.steps)} steps to an unbalanced force of "
-                      f"{float(now.confinement.unbalanced_force):.1e}; shearing {len(test.cut)} balls")  # fmt: skip
+                      f"{float(now.confinement.unbalanced_force):.1e}; shearing to {100 * test.axial_strain:g} %")  # fmt: skip
         rate, left = self.speed(test)
         self.advance(test, now, rate, left)
 
@@ -168,7 +170,7 @@ class _LiveLine(_Live):
 
     def __enter__(self) -> "_Live":
         self.live.start()
-        return super().__enter__()
+        return self
 
     def __exit__(self, kind, error, trace) -> None:
         self.live.stop()

@@ -34,8 +34,9 @@ from axijax.triaxial import Progress, Run, SimulationError, TriaxialTest
 CURVES = ("curve.nc", "curve.csv", "curve.png")
 FILES = ("case.toml", "run.json", "checkpoint.npz", "partial_curve.nc", *CURVES)
 
-# Called with the test and with where it stands: once before the first step of the shear, then about every 1000 steps.
-Tell = Callable[[TriaxialTest, Progress], None]
+# Called with the test and with where it stands: None before confinement, then once before the first step of the shear
+# and about every 1000 steps of it.
+Tell = Callable[[TriaxialTest, Progress | None], None]
 
 
 class Interrupted(Exception):
@@ -43,11 +44,19 @@ class Interrupted(Exception):
 
 
 def run_case(
-    case: Case, folder: Path, name: str, tell: Tell, *, overwrite: bool = False, command: Sequence[str] = ()
+    case: Case,
+    folder: Path,
+    name: str,
+    tell: Tell = lambda test, now: None,
+    *,
+    overwrite: bool = False,
+    snapshots: int = 0,
+    command: Sequence[str] = (),
 ) -> Run:
     """Run a case into a folder, which is made where there is none.
 
-    name: of the run, for titles. overwrite: replace what another run left there. command: the command line, to be kept.
+    name: of the run, for titles. overwrite: replace what another run left there. snapshots: how many to write for
+    ParaView, evenly over the shear. command: the command line, to be kept.
 
     Raises ValueError where the case makes no sense, the folder cannot be written or holds a result; SimulationError
     for a run that went wrong, whose curve so far is kept; Interrupted (Ctrl-C, SIGTERM) with the way to go on.
@@ -60,11 +69,12 @@ def run_case(
         if overwrite:
             _clear(folder, FILES)
             shutil.rmtree(folder / "snapshots", ignore_errors=True)
-        info = {"name": name, "command": list(command), "started": _now(), "seconds": 0.0, "resumed": 0, "axial_strain": 0.0}
+        info = {"name": name, "command": list(command), "started": _now(), "seconds": 0.0, "resumed": 0}
+        info.update(axial_strain=0.0, snapshots=snapshots)
         return _run(folder, case, test, None, info, tell)
 
 
-def resume(folder: Path, tell: Tell, axial_strain: float | None = None) -> Run:
+def resume(folder: Path, tell: Tell = lambda test, now: None, axial_strain: float | None = None) -> Run:
     """Go on with an interrupted run, or with a finished one to a larger axial strain.
 
     Raises ValueError where there is nothing to go on with, saying why; otherwise as `run_case` does.
@@ -93,7 +103,9 @@ def read_info(folder: Path) -> dict[str, Any]:
         info = json.loads(path.read_text())
         known = {"status", "name", "message", "seconds", "resumed", "axial_strain"} <= set(info)
     except OSError as error:
-        raise ValueError(f"'{folder}' is no result of axijax: its run.json cannot be read ({error.strerror}).") from None
+        raise ValueError(
+            f"'{folder}' is no result of axijax: its run.json cannot be read ({error.strerror})."
+        ) from None
     except (ValueError, TypeError):
         known = False
     if not known:
@@ -117,9 +129,7 @@ def _strain_wanted(folder: Path, info: dict[str, Any], reached: float, wanted: f
     return reached if wanted is None else wanted
 
 
-def _run(
-    folder: Path, case: Case, test: TriaxialTest, start: Progress | None, info: dict[str, Any], tell: Tell
-) -> Run:
+def _run(folder: Path, case: Case, test: TriaxialTest, start: Progress | None, info: dict[str, Any], tell: Tell) -> Run:
     began = time.perf_counter()
     before = info["seconds"]
 
@@ -131,6 +141,9 @@ def _run(
     def advance(now: Progress) -> None:
         info["axial_strain"] = now.strain
         tell(test, now)
+        if due and now.strain >= due[0]:
+            write_snapshot(now)
+            due[:] = [strain for strain in due if strain > now.strain]
 
     # The time step is written down, so that another version or machine goes on with the same one.
     case = case.with_test(time_step=test.time_step)
@@ -138,6 +151,12 @@ def _run(
     with _one_sentence_for_a_full_disk(folder), _sigterm_is_an_interruption():
         write_whole(folder / "case.toml", lambda target: target.write_text(to_toml(case)))
         note("running")
+        tell(test, None)
+        due = _snapshot_strains(info["snapshots"], test.axial_strain, 0.0 if start is None else start.strain)
+        if due:
+            from axijax.paraview import SnapshotWriter
+
+            write_snapshot = SnapshotWriter(folder / "snapshots", test)
         try:
             run = test.run(start=start, progress=advance, checkpoint=folder / "checkpoint.npz")
             save_run(folder, info["name"], case.model_dump_json(), run.curve)
@@ -154,6 +173,12 @@ def _run(
             raise
         note("finished")
     return run
+
+
+def _snapshot_strains(number: int, axial_strain: float, start: float) -> list[float]:
+    """Where snapshots are due: evenly from the start of the shear to its end, those before `start` done."""
+    strains = [axial_strain * k / (number - 1) for k in range(number)] if number > 1 else [axial_strain] * number
+    return [strain for strain in strains if strain > start or start == 0]
 
 
 def _refuse_to_overwrite(folder: Path) -> None:
