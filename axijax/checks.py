@@ -42,9 +42,7 @@ def result_checks(result: Result, energy: bool = False) -> list[Check]:
         *_curve_checks(result),
     ]  # fmt: skip
     if result.has_state:
-        test, progress = result.test, result.progress
-        place = np.asarray(progress.network.positions) + np.asarray(progress.state.displacement)
-        checks += _state_checks(test, snapshot(test, progress, confined=place))
+        checks += _state_checks(result.test, snapshot(result.test, result.progress))
     if energy:
         checks.append(_energy_check(result.test))
     return checks

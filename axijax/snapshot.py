@@ -23,7 +23,8 @@ class Balls(NamedTuple):
     """B balls; (B,) arrays, vectors (3, B), tensors (3, 3, B).
 
     number, image: the ball of the test's `cut`, and by how many turns of 2 pi / n it is turned.
-    positions [L], radius [L], displacement since the end of confinement [L], velocity [L/T], spin [1/T].
+    positions [L], radius [L], velocity [L/T], spin [1/T].
+    displacement: since the end of confinement [L]; None where the snapshot was made without its positions.
     stress: mean stress of the ball, compression positive, sum of arm times force over its volume (Love-Weber); the
         forces are those of contacts, platens, membrane and rigid planes [F/L^2].
     coordination: number of touching contacts with other balls.
@@ -36,7 +37,7 @@ class Balls(NamedTuple):
     image: np.ndarray
     positions: np.ndarray
     radius: np.ndarray
-    displacement: np.ndarray
+    displacement: np.ndarray | None
     velocity: np.ndarray
     spin: np.ndarray
     stress: np.ndarray
@@ -127,11 +128,10 @@ def snapshot(
     """The last state of a shear in progress (host).
 
     full: fill in the images to the whole cylinder; with n = 1 or rigid planes there are none.
-    confined: (3, N) centres at the end of confinement, from which displacements count [L]; None confines once more.
+    confined: (3, N) centres at the end of confinement, from which displacements count, see `confined_positions` [L].
     """
     sector, network, state = test.sector, progress.network, progress.state
     n = sector.images
-    confined = confined_positions(test, progress) if confined is None else confined
     seen = _mechanics(test.scene, progress.params, network, progress.membrane, progress.fixed, test.time_step, state)
     seen = {name: np.asarray(value) for name, value in seen.items()}
     place = np.asarray(positions(network, state), float)
@@ -174,14 +174,14 @@ def snapshot(
         return sector.rotate(np.asarray(vectors, float)[:, number], image)
 
     def part(table, kept):
-        return type(table)(*(values[..., kept] for values in table))
+        return type(table)(*(None if values is None else values[..., kept] for values in table))
 
     balls = Balls(
         number=number,
         image=image,
         positions=turned(place),
         radius=radius[number],
-        displacement=turned(place - confined),
+        displacement=None if confined is None else turned(place - confined),
         velocity=turned(state.velocity),
         spin=turned(np.zeros_like(place) if state.spin is None else state.spin),
         stress=stress,

@@ -23,10 +23,12 @@ import numpy as np
 from axijax.dynamics import (
     DEFAULT_STEP,
     SAFE_STEP,
+    ContactLawName,
     Params,
     Scene,
     State,
     check_params,
+    confined_stiffness,
     critical_time_step,
     initial_state,
     make_step,
@@ -191,7 +193,7 @@ class TriaxialTest:
             raise ValueError(f"time_step = {step!r}: must be positive and finite [T].")
         if not self.allow_unsafe_step:
             _check_step(step, limit)
-        ramp = 8 * cut.height / _wave_speed(self.params, network)
+        ramp = 8 * cut.height / _wave_speed(self.scene, self.params, network)
         speed = 2 * float(self.params.platen_speed)
         duration = self.axial_strain * cut.height / speed + ramp / 2
         prepared = {
@@ -222,7 +224,9 @@ class TriaxialTest:
     def confine(self, params: Params | None = None) -> tuple[State, Confinement]:
         """The state at the end of confinement, and how well it is balanced."""
         numbers = self._numbers(self.network, self.membrane)
-        return _confine(replace(self.protocol, blocks=0), numbers, self.params if params is None else params)
+        return _confine(
+            self.scene.contact_law, replace(self.protocol, blocks=0), numbers, self.params if params is None else params
+        )
 
     def run(
         self,
@@ -411,19 +415,20 @@ def _rebuilt(cut: Specimen, network: Network, membrane: Membrane, state: State):
     return new, surface, state
 
 
-def _wave_speed(params: Params, network: Network):
+def _wave_speed(scene: Scene, params: Params, network: Network):
     """P-wave speed of a close packing with stuck contacts, 2 r sqrt((kn + ks)/m) [L/T]; sets ramps and damping."""
     radius = network.radius.mean()
     mass = params.density * (4 / 3) * np.pi * radius**3
-    return 2 * radius * ((params.normal_stiffness + params.shear_stiffness) / mass) ** 0.5
+    normal, shear = confined_stiffness(scene, params, network)
+    return 2 * radius * ((normal + shear) / mass) ** 0.5
 
 
-@partial(jax.jit, static_argnums=0)
-def _confine(protocol: Protocol, numbers, params: Params) -> tuple[State, Confinement]:
+@partial(jax.jit, static_argnums=(0, 1))
+def _confine(contact_law: ContactLawName, protocol: Protocol, numbers, params: Params) -> tuple[State, Confinement]:
     network, membrane, platens, dt, _, fixed = numbers
-    scene = Scene(rotation=False, friction=False, damping="background")
+    scene = Scene(rotation=False, friction=False, damping="background", contact_law=contact_law)
     # The slowest mode, half a wave along the specimen, is damped critically; the others settle within it.
-    rate = 2 * jnp.pi * _wave_speed(params, network) / (platens[1] - platens[0]).astype(network.dtype)
+    rate = 2 * jnp.pi * _wave_speed(scene, params, network) / (platens[1] - platens[0]).astype(network.dtype)
     params = replace(params, background_damping=rate)
     step = make_step(scene, _servo(network))
 
@@ -545,7 +550,7 @@ def _start_shear(scene: Scene, network: Network, confined: State) -> State:
 @partial(jax.jit, static_argnums=(0, 1))
 def _simulate(scene: Scene, protocol: Protocol, numbers, params: Params) -> Curve:
     network = numbers[0]
-    confined, balance = _confine(protocol, numbers, params)
+    confined, balance = _confine(scene.contact_law, protocol, numbers, params)
     start = _start_shear(scene, network, confined)
     _, seen, status = _shear(scene, protocol, numbers, params, start, _fixed_load(protocol, numbers, start))
     settled = jnp.maximum(balance.unbalanced_force, balance.stress_error) <= protocol.tolerance
