@@ -25,7 +25,7 @@ import tomllib
 import types
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
 
@@ -40,6 +40,8 @@ ALLOWED: dict[str, dict[str, float]] = {
     "friction": {"ge": 0},
     "normal_stiffness": {"gt": 0},
     "shear_stiffness": {"gt": 0},
+    "shear_modulus": {"gt": 0},
+    "poisson_ratio": {"ge": 0, "lt": 0.5},
     "confining_stress": {"gt": 0},
     "platen_speed": {"gt": 0},
     "density": {"gt": 0},
@@ -128,35 +130,46 @@ class SpecimenCase(_Section):
         return lattice_cylinder(self.kind, **options)
 
 
-SectorCase = _section("SectorCase", Sector)
-SceneCase = _section("SceneCase", Scene)
-ParametersCase = _section("ParametersCase", Params)
-TestSection = _section("TestSection", TriaxialTest)
+if TYPE_CHECKING:  # mypy cannot see the fields of classes made while running
+
+    class _Made(_Section):
+        def __getattr__(self, name: str) -> Any: ...
+
+    class SectorCase(_Made): ...
+
+    class SceneCase(_Made): ...
+
+    class ParametersCase(_Made): ...
+
+    class TestSection(_Made): ...
+else:
+    SectorCase = _section("SectorCase", Sector)
+    SceneCase = _section("SceneCase", Scene)
+    ParametersCase = _section("ParametersCase", Params)
+    TestSection = _section("TestSection", TriaxialTest)
 
 
 class Case(_Section):
     """A whole case. `build` makes the test; raises ValueError where the fields do not fit one another."""
 
     specimen: SpecimenCase = SpecimenCase()
-    sector: SectorCase = SectorCase()  # type: ignore[valid-type]
-    scene: SceneCase = SceneCase()  # type: ignore[valid-type]
-    parameters: ParametersCase = ParametersCase()  # type: ignore[valid-type]
-    test: TestSection = TestSection()  # type: ignore[valid-type]
+    sector: SectorCase = SectorCase()
+    scene: SceneCase = SceneCase()
+    parameters: ParametersCase = ParametersCase()
+    test: TestSection = TestSection()
 
     def build(self) -> TriaxialTest:
-        made: Any = self
         return TriaxialTest(
             self.specimen.build(),
-            Sector(**made.sector.model_dump()),
-            scene=Scene(**made.scene.model_dump()),
-            params=Params(**made.parameters.model_dump()),
-            **made.test.model_dump(),
+            Sector(**self.sector.model_dump()),
+            scene=Scene(**self.scene.model_dump()),
+            params=Params(**self.parameters.model_dump()),
+            **self.test.model_dump(),
         )
 
     def with_test(self, **changes) -> "Case":
         """The same case with other fields in its section [test]."""
-        made: Any = self
-        return self.model_copy(update={"test": made.test.model_copy(update=changes)})
+        return self.model_copy(update={"test": self.test.model_copy(update=changes)})
 
 
 # The sections of a case: class and heading.

@@ -46,8 +46,8 @@ def check(
 def _print_forecast(found: "Forecast") -> None:
     share = found.time_step / found.critical_time_step
     lines = {
-        "specimen": f"{found.balls} balls in the sector, {found.contacts} pairs in the list, height {found.height:.4g}, "
-        f"radius {found.membrane_radius:.4g} [L]",
+        "specimen": f"{found.balls} balls in the sector, {found.contacts} pairs in the list; height "
+        f"{found.height:.4g}, radius {found.membrane_radius:.4g} [L]",
         "critical time step": f"{found.critical_time_step:.4g} [T]",
         "time step": f"{found.time_step:.4g} [T], {share:.2f} of the critical one",
         "inertial number": f"{found.inertial_number:.2g}  (2 v/H 2 r sqrt(density/s3); quasi-static below 1e-3)",

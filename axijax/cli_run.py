@@ -59,8 +59,9 @@ def run(
     loaded = load_case(case)
     folder = Path("results") / case.stem if output is None else output
     with _live(folder, as_json) as live:
-        options = {"overwrite": overwrite, "snapshots": snapshots, "command": ["axijax", *sys.argv[1:]]}
-        live.finished(run_case(loaded, folder, case.stem, live.tell, **options))
+        command = ["axijax", *sys.argv[1:]]
+        done = run_case(loaded, folder, case.stem, live.tell, overwrite=overwrite, snapshots=snapshots, command=command)
+        live.finished(done)
 
 
 def resume(
@@ -120,8 +121,9 @@ class _Live:
             return self.show("confining", f"compiling and confining {len(test.cut)} balls")
         self.marks.append((time.perf_counter(), now.strain, now.records.height.size))
         if len(self.marks) == 1:
-            self.show("confined", f"confined in {int(now.confinement.steps)} steps to an unbalanced force of "
-                      f"{float(now.confinement.unbalanced_force):.1e}; shearing to {100 * test.axial_strain:g} %")  # fmt: skip
+            balance = now.confinement
+            found = f"{int(balance.steps)} steps to an unbalanced force of {float(balance.unbalanced_force):.1e}"
+            self.show("confined", f"confined in {found}; shearing to {100 * test.axial_strain:g} %")
         rate, left = self.speed(test)
         self.advance(test, now, rate, left)
 

@@ -16,7 +16,6 @@ import platform
 import shutil
 import signal
 import socket
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -39,7 +38,7 @@ FILES = ("case.toml", "run.json", "checkpoint.npz", "partial_curve.nc", *CURVES)
 Tell = Callable[[TriaxialTest, Progress | None], None]
 
 
-class Interrupted(Exception):
+class Interrupted(Exception):  # noqa: N818 (not an error)
     """A run was stopped from outside; says how to go on."""
 
 
@@ -195,7 +194,8 @@ def _refuse_to_overwrite(folder: Path) -> None:
         raise ValueError(f"output folder '{folder}' already holds a failed run: {way}.")
     with _locked(folder):
         raise ValueError(
-            f"output folder '{folder}' already holds an unfinished run: `axijax resume {folder}` goes on with it; or {way}."
+            f"output folder '{folder}' already holds an unfinished run: `axijax resume {folder}` goes on with it; "
+            f"or {way}."
         )
 
 
@@ -228,7 +228,8 @@ def _locked(folder: Path) -> Iterator[None]:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ValueError(
-                f"output folder '{folder}' is in use by a run that is going on: wait for it, or choose another --output."
+                f"output folder '{folder}' is in use by a run that is going on: wait for it, or choose another "
+                "--output."
             ) from None
         yield
     finally:
