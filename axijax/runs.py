@@ -16,6 +16,7 @@ import platform
 import shutil
 import signal
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -143,11 +144,12 @@ def _run(folder: Path, case: Case, test: TriaxialTest, start: Progress | None, i
         if due and now.strain >= due[0]:
             write_snapshot(now)
             due[:] = [strain for strain in due if strain > now.strain]
+        check()
 
     # The time step is written down, so that another version or machine goes on with the same one.
     case = case.with_test(time_step=test.time_step)
     info.update(_versions(), balls=len(test.cut))
-    with _one_sentence_for_a_full_disk(folder), _sigterm_is_an_interruption():
+    with _one_sentence_for_a_full_disk(folder), _signals_wait() as check:
         write_whole(folder / "case.toml", lambda target: target.write_text(to_toml(case)))
         note("running")
         tell(test, None)
@@ -160,10 +162,11 @@ def _run(folder: Path, case: Case, test: TriaxialTest, start: Progress | None, i
             run = test.run(start=start, progress=advance, checkpoint=folder / "checkpoint.npz")
             save_run(folder, info["name"], case.model_dump_json(), run.curve)
         except KeyboardInterrupt:
-            how = f"`axijax resume {folder}` goes on"
-            where = "" if (folder / "checkpoint.npz").exists() else "; it was not confined yet and starts again"
-            note("interrupted", f"stopped from outside; {how}")
-            raise Interrupted(f"interrupted: {how}{where}.") from None
+            confined = (folder / "checkpoint.npz").exists()
+            where = f"at {100 * info['axial_strain']:.3g} % axial strain" if confined else "before it was confined"
+            note("interrupted", f"stopped from outside {where}")
+            how = "goes on" if confined else "starts it again"
+            raise Interrupted(f"interrupted {where}: `axijax resume {folder}` {how}.") from None
         except SimulationError as error:
             if error.curve is not None:
                 dataset = curves_dataset({info["name"]: error.curve}, {}, {"title": info["name"], "status": "failed"})
@@ -237,20 +240,30 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _sigterm_is_an_interruption() -> Iterator[None]:
-    """Let SIGTERM do what Ctrl-C does, and let neither break into the writing of a checkpoint twice."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
+def _signals_wait() -> Iterator[Callable[[], None]]:
+    """Let Ctrl-C and SIGTERM wait for a moment between two stretches of the run, when what is yielded is called: it
+    raises KeyboardInterrupt if there was one. A second Ctrl-C does not wait.
+
+    An exception thrown into the middle of a compilation can end the process in a crash.
+    """
+    asked: list[int] = []
+
+    def check() -> None:
+        if asked:
+            raise KeyboardInterrupt
+
+    def stop(number: int, _) -> None:
+        if asked and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        asked.append(number)
+        print("axijax: stopping at the next checkpoint (Ctrl-C once more: at once)", file=sys.stderr, flush=True)
+
+    if threading.current_thread() is not threading.main_thread():  # only the main thread may handle signals
+        yield check
         return
-
-    def stop(*_) -> None:
-        for number in before:
-            signal.signal(number, signal.SIG_IGN)
-        raise KeyboardInterrupt
-
     before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield
+        yield check
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
