@@ -56,7 +56,7 @@ def run_case(
     """Run a case into a folder, which is made where there is none.
 
     name: of the run, for titles. overwrite: replace what another run left there. snapshots: how many to write for
-    ParaView, evenly over the shear. command: the command line, to be kept.
+    ParaView, evenly over the shear, one every 1000 steps at most. command: the command line, to be kept.
 
     Raises ValueError where the case makes no sense, the folder cannot be written or holds a result; SimulationError
     for a run that went wrong, whose curve so far is kept; Interrupted (Ctrl-C, SIGTERM) with the way to go on.
@@ -152,13 +152,13 @@ def _run(folder: Path, case: Case, test: TriaxialTest, start: Progress | None, i
     with _one_sentence_for_a_full_disk(folder), _signals_wait() as check:
         write_whole(folder / "case.toml", lambda target: target.write_text(to_toml(case)))
         note("running")
-        tell(test, None)
         due = _snapshot_strains(info["snapshots"], test.axial_strain, 0.0 if start is None else start.strain)
         if due:
             from axijax.paraview import SnapshotWriter
 
             write_snapshot = SnapshotWriter(folder / "snapshots", test)
         try:
+            tell(test, None)
             run = test.run(start=start, progress=advance, checkpoint=folder / "checkpoint.npz")
             save_run(folder, info["name"], case.model_dump_json(), run.curve)
         except KeyboardInterrupt:
