@@ -188,8 +188,7 @@ def default_case(kind: str = "octagon") -> Case:
     Raises ValueError for an unknown kind.
     """
     if kind not in KINDS:
-        near = difflib.get_close_matches(kind, KINDS, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"must be one of {', '.join(KINDS)}."
+        hint = _nearest(kind, KINDS) or f"must be one of {', '.join(KINDS)}."
         raise ValueError(f"kind = '{kind}': {hint}")
     sections: dict[str, Any] = {"specimen": {"kind": kind}}
     if 4 not in KINDS[kind][1]:
@@ -267,30 +266,32 @@ def load_case(path: Path | str) -> Case:
     try:
         return Case.model_validate(data)
     except ValidationError as error:
-        raise ValueError(f"case file '{path}': {'; '.join(map(_sentence, error.errors()))}.") from None
+        told = "; ".join(map(_sentence, error.errors()))
+        raise ValueError(f"case file '{path}': {told}{'' if told.endswith('?') else '.'}") from None
 
 
 def _sentence(problem) -> str:
-    where = ".".join(str(part) for part in problem["loc"])
+    where, given = ".".join(str(part) for part in problem["loc"]), problem["input"]
     if problem["type"] == "extra_forbidden":
         *section, name = problem["loc"]
         known = list(SECTIONS[str(section[0])][0].model_fields if section else SECTIONS)
-        near = difflib.get_close_matches(str(name), known, n=1)
-        elsewhere = [other for other, (model, _) in SECTIONS.items() if name in model.model_fields]
-        if near and near[0] != name:
-            hint = f"did you mean '{near[0]}'?"
-        elif elsewhere:
-            hint = f"it belongs to [{elsewhere[0]}]"
-        else:
-            hint = f"known are {', '.join(known)}"
-        return f"'{where}' is not a {'field' if section else 'section'}; {hint}".rstrip("?")
+        elsewhere = [f"[{other}]" for other, (model, _) in SECTIONS.items() if name in model.model_fields]
+        near = _nearest(str(name), known)
+        hint = f"it belongs to {' or '.join(elsewhere)}" if elsewhere else near or f"known are {', '.join(known)}"
+        return f"'{where}' is not a {'field' if section else 'section'}; {hint}"
     if problem["type"] == "value_error":
         return f"{where}.{problem['ctx']['error']}"
     if problem["type"] == "model_type":
-        return f"{where} = {problem['input']!r}: must be a section, [{where}], with its fields below"
+        return f"{where} = {given!r}: must be a section, [{where}], with its fields below"
     told = problem["msg"].replace("Input should be", "must be")
-    if problem["type"] == "literal_error" and isinstance(problem["input"], str):
-        choices = re.findall(r"'([^']*)'", problem["ctx"]["expected"])
-        near = difflib.get_close_matches(problem["input"], choices, n=1)
-        told += f" (did you mean '{near[0]}'?)" if near else ""
-    return f"{where} = {problem['input']!r}: {told}"
+    for theirs, ours in (("boolean", "true or false"), ("integer", "a whole number"), ("number", "a number")):
+        told = told.replace(f"a valid {theirs}", ours)
+    if problem["type"] == "literal_error":
+        near = _nearest(str(given), re.findall(r"'([^']*)'", problem["ctx"]["expected"]))
+        told += f"; {near}" if near else ""
+    return f"{where} = {str(given).lower() if isinstance(given, bool) else repr(given)}: {told}"
+
+
+def _nearest(name: str, known) -> str:
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"did you mean '{near[0]}'?" if near else ""

@@ -1,5 +1,6 @@
 """The command line. Heavy imports happen inside the commands, so that --help is quick."""
 
+import shlex
 import sys
 import warnings
 from pathlib import Path
@@ -159,5 +160,6 @@ def main(arguments: list[str] | None = None) -> int:
         if not hasattr(error, "format_message"):  # not the command line's own kind
             raise
         if error.format_message():  # nothing after a bare `axijax`, which shows its help
-            print(f"axijax: {error.format_message()}", file=sys.stderr)
+            given = shlex.join(sys.argv[1:] if arguments is None else arguments)
+            print(f"axijax: {error.format_message().rstrip('.')}; given was: axijax {given}", file=sys.stderr)
         return 2

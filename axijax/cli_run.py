@@ -44,7 +44,9 @@ def run(
         Path | None, typer.Option(help="Folder for the result; left out: results/ and the name of the case file.")
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the result that the folder holds.")] = False,
-    snapshots: Annotated[int, typer.Option(min=0, help="Number of snapshots for ParaView, evenly over the shear, one every 1000 steps at most.")] = 0,
+    snapshots: Annotated[
+        int, typer.Option(min=0, help="Snapshots for ParaView, evenly over the shear (1000 steps apart at least).")
+    ] = 0,
     as_json: Json = False,
 ) -> None:
     """Run the triaxial test of a case file into a folder.

@@ -358,6 +358,8 @@ class Run(NamedTuple):
 def raise_for_status(status, curve: Curve | None = None) -> None:
     """Raise SimulationError, naming what went wrong and what to do, unless a curve's status bits are all zero."""
     bits = int(np.bitwise_or.reduce(np.asarray(status).ravel()))
+    if bits & NOT_FINITE:  # of which all others are consequences
+        bits = NOT_FINITE
     if bits:
         reasons = [text for bit, text in REMEDIES.items() if bits & bit]
         raise SimulationError("the test went wrong: " + "; ".join(reasons) + ".", curve)

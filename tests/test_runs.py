@@ -64,7 +64,7 @@ def interrupted(folder, monkeypatch, case=SMALL, number=signal.SIGINT, after=150
 
 
 def test_the_folder_tells_what_was_run(finished):
-    folder, called = finished
+    folder, _ = finished
     assert {path.name for path in folder.iterdir()} == FILES
     info = json.loads((folder / "run.json").read_text())
     assert info["status"] == "finished" and info["name"] == "small" and info["balls"] == 26
