@@ -81,15 +81,15 @@ def _curve_checks(result: Result) -> list[Check]:
         ),
         _at_most(
             "platen against virial stress ratio at the peak", abs(platen / virial - 1), 0.05,
-            f"{platen:.4g} from platen force and radius Rm, {virial:.4g} from forces alone: a wide gap means that Rm is "
-            "not the radius at which the membrane acts",
+            f"{platen:.4g} from platen force and radius Rm, {virial:.4g} from forces alone: a wide gap means that Rm "
+            "is not the radius at which the membrane acts",
         ),
         _at_most(
-            "chatter at the peak", at_peak.chatter, CHATTER,
-            "contacts moving to and fro from step to step: above the limit the time step is too long and the peak wrong",
+            "chatter at the peak", max(float(at_peak.chatter), 0.0), CHATTER,
+            "contacts moving to and fro from step to step: above the limit the step is too long, the peak wrong",
         ),
         _at_most(
-            "chatter of the whole curve", curve.chatter.max(), CHATTER,
+            "chatter of the whole curve", max(float(curve.chatter.max()), 0.0), CHATTER,
             "the same over all records: above the limit the curve is inexact there",
         ),
     ]  # fmt: skip
@@ -101,7 +101,7 @@ def _curve_checks(result: Result) -> list[Check]:
                 0.1,
                 f"{platen:.4g} from the platens, {core:.4g} in the inner core: a wide gap means that the boundaries "
                 "(short specimen, rigid sector planes, platens) bear on the result",
-            )  # fmt: skip
+            )
         )
     return checks
 

@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 
 from axijax.cli_check import check
-from axijax.cli_run import fast_kernels, new, resume, run
+from axijax.cli_pictures import plot, report, snapshot
+from axijax.cli_run import new, resume, run
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -19,16 +20,11 @@ app = typer.Typer(
 )
 
 
-def _examples(*lines: str) -> str:
-    return "Examples:\n\n" + "\n\n".join(lines)
-
-
 @app.callback()
 def common() -> None:
     """Differentiable discrete element triaxial tests on an axisymmetric sector."""
 
 
-@app.command()
 def table1(
     output: Annotated[Path, typer.Option(help="Folder for the table, the curves and the figures.")] = Path("table1"),
 ) -> None:
@@ -45,7 +41,6 @@ def table1(
     from axijax import table1 as paper
     from axijax.results import writable_folder
 
-    fast_kernels()
     started = time.perf_counter()
     folder = writable_folder(output)
     console = Console()
@@ -84,7 +79,6 @@ def table1(
     console.print("Written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
 
 
-@app.command()
 def calibrate(
     data: Annotated[Path, typer.Argument(help="Measured curve, CSV with named columns (see calibrate.MeasuredCurve).")],
     fit: Annotated[str, typer.Option(help="Parameters to fit, with commas: friction,kn,ks..")] = "friction",
@@ -100,7 +94,6 @@ def calibrate(
     from axijax.results import writable_folder
     from calibrate import calibrate_file
 
-    fast_kernels()
     test = (Case() if case is None else load_case(case)).build()
     calibrate_file(data, fit, test, writable_folder(output), check=check)
 
@@ -137,12 +130,20 @@ def _table(rows):
     return table
 
 
-app.command(epilog=_examples("axijax new first.toml", "axijax new --kind bcc bcc.toml"))(new)
-app.command(
-    epilog=_examples("axijax check first.toml", "axijax check results/first", "axijax check --json first.toml")
-)(check)
-app.command(epilog=_examples("axijax run first.toml", "axijax run first.toml --output strong --json"))(run)
-app.command(epilog=_examples("axijax resume results/first", "axijax resume results/first --axial-strain 0.03"))(resume)
+# In the order of the help: each command with examples.
+COMMANDS = {
+    new: ("axijax new first.toml", "axijax new --kind fcc cylinder.toml"),
+    check: ("axijax check first.toml", "axijax check results/first", "axijax check --json first.toml"),
+    run: ("axijax run first.toml", "axijax run first.toml --output strong --json"),
+    resume: ("axijax resume results/first", "axijax resume results/first --axial-strain 0.03"),
+    plot: ("axijax plot results/first", "axijax plot results/first results/strong --output both.png"),
+    report: ("axijax report results/first", "axijax report results/first --data measured.csv --output first.html"),
+    snapshot: ("axijax snapshot results/first", "axijax snapshot results/first --full"),
+    calibrate: ("axijax calibrate measured.csv", "axijax calibrate measured.csv --fit friction,kn --case first.toml"),
+    table1: ("axijax table1", "axijax table1 --output paper"),
+}
+for command, examples in COMMANDS.items():
+    app.command(epilog="\n\n".join(["Examples:", *examples]))(command)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -150,9 +151,14 @@ def main(arguments: list[str] | None = None) -> int:
 
     1: something went wrong, or a check failed. 2: the command line itself. 130: interrupted, with the way to go on.
     """
+    given = sys.argv[1:] if arguments is None else arguments
     warnings.showwarning = lambda message, *_: print(f"axijax: warning: {message}", file=sys.stderr)
+    if given and "--help" not in given:  # help does without JAX, which takes a second to import
+        from axijax.platform import fast_cpu_kernels
+
+        fast_cpu_kernels()
     try:
-        return app(arguments, standalone_mode=False) or 0
+        return app(given, standalone_mode=False) or 0
     except (ValueError, RuntimeError, OSError) as error:
         print(f"axijax: {error}", file=sys.stderr)
         return 1
@@ -160,6 +166,7 @@ def main(arguments: list[str] | None = None) -> int:
         if not hasattr(error, "format_message"):  # not the command line's own kind
             raise
         if error.format_message():  # nothing after a bare `axijax`, which shows its help
-            given = shlex.join(sys.argv[1:] if arguments is None else arguments)
-            print(f"axijax: {error.format_message().rstrip('.')}; given was: axijax {given}", file=sys.stderr)
+            print(
+                f"axijax: {error.format_message().rstrip('.')}; given was: axijax {shlex.join(given)}", file=sys.stderr
+            )
         return 2

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from axijax.cli_run import Json, fast_kernels
+from axijax.cli_run import Json
 
 if TYPE_CHECKING:
     from axijax.checks import Check
@@ -23,7 +23,6 @@ def check(
     memory, and warnings. A result: equilibrium after confinement, platen against internal stress, the membrane's
     cells, chatter, and the energy ledger over the first 0.05 % of strain, which is run again for it.
     """
-    fast_kernels()
     if what.is_dir():
         from axijax.checks import result_checks
         from axijax.results import open_result

@@ -57,7 +57,6 @@ def run(
     from axijax.case import load_case
     from axijax.runs import run_case
 
-    fast_kernels()
     loaded = load_case(case)
     folder = Path("results") / case.stem if output is None else output
     with _live(folder, as_json) as live:
@@ -78,16 +77,8 @@ def resume(
 
     if axial_strain is not None and not 0 < axial_strain < 0.5:
         raise ValueError(f"--axial-strain = {axial_strain:g}: must lie between 0 and 0.5.")
-    fast_kernels()
     with _live(result, as_json) as live:
         live.finished(runs.resume(result, live.tell, axial_strain))
-
-
-def fast_kernels() -> None:
-    """What a command does before its first computation, and not before its help."""
-    from axijax.platform import fast_cpu_kernels
-
-    fast_cpu_kernels()
 
 
 @contextmanager

@@ -4,11 +4,14 @@ A specimen is plain NumPy data, made once on the host. Lengths in consistent uni
 """
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from axijax.sector import Sector, plane_normals
+
+ZoneRule = Literal["given", "exposure"]
 
 
 @dataclass(frozen=True)
@@ -20,6 +23,8 @@ class Specimen:
     bottom, top: heights of the two platens' inner faces [L].
     membrane_zone: (N,) bool, the outer balls that carry the membrane.
     name: what it is, for labels.
+    zone_rule: "given" for a zone that is kept, or "exposure" for the outer balls found by `axijax.zone.outer_balls`,
+        which are found again as the specimen deforms, and whose mean distance from the axis is Rm.
 
     Raises ValueError where an array has the wrong shape, is empty or not finite, a radius is not positive, a
     ball's centre is outside the platens, or no ball is in the membrane zone.
@@ -31,6 +36,7 @@ class Specimen:
     top: float
     membrane_zone: np.ndarray
     name: str = "specimen"
+    zone_rule: ZoneRule = "given"
 
     def __post_init__(self) -> None:
         positions = np.asarray(self.positions, float)
@@ -45,6 +51,8 @@ class Specimen:
             raise ValueError(f"specimen radius has shape {radius.shape}: must be one number or ({count},).")
         radius = np.broadcast_to(radius, (count,)).copy()
         zone = np.asarray(self.membrane_zone, bool)
+        if self.zone_rule not in ("given", "exposure"):
+            raise ValueError(f"specimen zone_rule = {self.zone_rule!r}: must be 'given' or 'exposure'.")
         if not np.isfinite(positions).all():
             raise ValueError(f"specimen positions hold {np.sum(~np.isfinite(positions))} values that are not finite.")
         if not (np.isfinite(radius).all() and (radius > 0).all()):

@@ -160,7 +160,7 @@ def _discs(moment: Snapshot) -> list[np.ndarray]:
     """The part of either platen above or below the balls: a disc, or the sector's slice of it."""
     balls, sector = moment.balls, moment.sector
     reach = (np.hypot(*balls.positions[:2]) + balls.radius).max()
-    whole = moment.full and sector.boundary == "periodic" or sector.order == 1
+    whole = sector.order == 1 or (moment.full and sector.boundary == "periodic")
     span = 2 * np.pi if whole else sector.angle
     angle = np.linspace(0, span, max(int(DISC_CORNERS * span / (2 * np.pi)), 8), endpoint=not whole)
     rim = reach * np.stack([np.cos(angle), np.sin(angle)], axis=1)

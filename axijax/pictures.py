@@ -19,7 +19,7 @@ SHADES = 7  # discs that shade one ball
 
 
 def force_network(seen: Snapshot) -> Figure:
-    """Touching contacts in a section a ball thick beside the axis: width by normal force, colour by sliding."""
+    """Touching contacts in a section a ball thick beside the axis, coloured by sliding, wide by normal force."""
     unit = float(seen.balls.radius.mean())
     contacts = seen.contacts
     start, end = _to_section(seen, contacts.start), _to_section(seen, contacts.end)
@@ -37,9 +37,7 @@ def force_network(seen: Snapshot) -> Figure:
     for size in (0.5, 1, 2):
         axes.plot([], [], color="0.4", lw=2.5 * size, label=f"{size:g} x mean ({size * mean:.2g} [F])")
     _frame(axes, seen, unit)
-    axes.legend(
-        loc="upper left", bbox_to_anchor=(1.01, 1), frameon=False, title="contacts; width:\nnormal force", fontsize=9
-    )
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1), frameon=False, title="width: normal force", fontsize=9)
     return figure
 
 
@@ -51,8 +49,8 @@ def fabric_rose(seen: Snapshot) -> Figure:
     edges = np.linspace(0, np.pi / 2, ROSE_BINS + 1)
     share = np.diff(np.sin(edges))  # of the half sphere between two inclinations
     figure = Figure(figsize=(9, 5), layout="constrained")
-    figure.suptitle(f"fabric: contact normals by inclination, {_moment(seen)}")
-    weights = (("number of contacts", contacts.share), ("normal force", contacts.share * contacts.normal_force))
+    figure.suptitle(f"fabric: contact normals by their angle above the horizontal\n{_moment(seen)}", fontsize=11)
+    weights = (("number", contacts.share), ("normal force", contacts.share * contacts.normal_force))
     for place, (name, weight) in enumerate(weights):
         axes = figure.add_subplot(1, 2, place + 1, projection="polar")
         held = np.histogram(inclination, edges, weights=weight)[0]
@@ -64,9 +62,9 @@ def fabric_rose(seen: Snapshot) -> Figure:
             )
         ring = np.linspace(0, 2 * np.pi, 181)
         axes.plot(ring, np.ones_like(ring), "--", color=SLIDING, lw=1.4, label="isotropic = 1")
-        axes.set_title(f"by {name}", fontsize=11)
-        axes.set_xticks(np.deg2rad([0, 45, 90, 135, 180, 225, 270, 315]))
-        axes.set_xticklabels(["horizontal", "45°", "vertical", "", "", "", "", ""])
+        axes.set_title(f"weighted by {name}", fontsize=11)
+        axes.set_xticks(np.deg2rad([0, 30, 60, 90, 120, 150, 180, 210, 240, 270, 300, 330]))
+        axes.set_xticklabels(["0°", "30°", "60°", "90°\n(vertical)", *[""] * 8])
         axes.tick_params(axis="y", labelsize=8)
         axes.set_rlabel_position(292.5)
     axes.legend(loc="lower right", bbox_to_anchor=(1.12, -0.12), frameon=False, fontsize=9)
@@ -78,9 +76,14 @@ def membrane_cells(seen: Snapshot) -> Figure:
     membrane = seen.membrane
     if not membrane.polygons:
         raise ValueError("membrane-cells: this test is loaded without a membrane, so there are no cells to draw.")
-    figure, axes = _figure(seen, (10, 5.2), "membrane cells on the unfolded cylinder")
-    cells = PolyCollection(membrane.polygons, edgecolors="white", linewidths=0.5, cmap="cividis")
-    cells.set_array(membrane.area)
+    figure, axes = _figure(seen, (10, 5.2), "membrane cells on the unfolded cylinder (dots: balls)")
+    width = membrane.radius * seen.sector.angle
+    turns = seen.sector.images
+    # Cells across the ends of the unfolded cylinder are shown at both.
+    around = (-1, 0, 1) if seen.sector.boundary == "periodic" else (0,)
+    shown = [polygon + np.array([k * turns * width, 0.0]) for k in around for polygon in membrane.polygons]
+    cells = PolyCollection(shown, edgecolors="white", linewidths=0.5, cmap="cividis")
+    cells.set_array(np.tile(membrane.area, len(around)))
     axes.add_collection(cells)
     figure.colorbar(cells, ax=axes, label="area of a cell [L²]", shrink=0.8, pad=0.015)
     row = np.full(int(seen.balls.number.max()) + 1, -1)
@@ -89,8 +92,6 @@ def membrane_cells(seen: Snapshot) -> Figure:
     x, y, z = seen.balls.positions[:, row[membrane.number]]
     angle = np.mod(np.arctan2(y, x) + 1e-9, seen.sector.angle) + membrane.image * seen.sector.angle
     axes.plot(membrane.radius * angle, z, ".", color="black", ms=2.5)
-    width = membrane.radius * seen.sector.angle
-    turns = seen.sector.images
     for k in range(turns + 1):
         axes.axvline(k * width, color="black", lw=0.9, ls="--")
     bottom, top = seen.platens.heights
@@ -98,8 +99,8 @@ def membrane_cells(seen: Snapshot) -> Figure:
         axes.axhline(height, color="0.2", lw=2)
     margin = 0.03 * (top - bottom)
     axes.set(
-        aspect="equal", xlim=(-2 * margin, turns * width + 2 * margin), ylim=(bottom - margin, top + margin),
-        xlabel="x' = angle times Rm [L]   (dashed: sector planes, dots: balls)", ylabel="z [L]",
+        aspect="equal", xlim=(0, turns * width), ylim=(bottom - margin, top + margin),
+        xlabel="x' = angle times Rm [L]", ylabel="z [L]",
     )  # fmt: skip
     degrees = axes.secondary_xaxis(
         "top", functions=(lambda x: np.rad2deg(x / membrane.radius), lambda d: np.deg2rad(d) * membrane.radius)
@@ -145,10 +146,10 @@ def section(seen: Snapshot) -> Figure:
             label = "sector planes" if k == 0 else None
             plan.plot([0, reach * np.cos(angle)], [0, reach * np.sin(angle)], "--", color="black", lw=1, label=label)
     plan.plot([], [], "o", mfc="white", mec=SLIDING, mew=1.6, label="carries the membrane")
-    margin = 0.6 * unit
+    edge, least = 0.6 * unit, 0.0 if seen.sector.boundary == "rigid" and seen.sector.order >= 4 else -reach
     plan.set(
         aspect="equal", title="plan at mid-height", xlabel="x [L]", ylabel="y [L]",
-        xlim=(x.min() - 1.5 * unit - margin, reach + margin), ylim=(y.min() - 1.5 * unit - margin, reach + margin),
+        xlim=(least - edge, reach + edge), ylim=(least - edge, reach + edge),
     )  # fmt: skip
     plan.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3, frameon=False, fontsize=9)
     figure.colorbar(
@@ -190,9 +191,7 @@ def specimen(seen: Snapshot) -> Figure:
     colours = base[:, None, :] * pale[..., None] * (1 - white[..., None]) + white[..., None]
     shrink = radius[:, None] * (1 - 0.8 * step)
     offset = 0.35 * radius[:, None] * step
-    discs = _discs(
-        axes, (across[:, None] - offset).ravel(), (height[:, None] + offset).ravel(), shrink.ravel()
-    )
+    discs = _discs(axes, (across[:, None] - offset).ravel(), (height[:, None] + offset).ravel(), shrink.ravel())
     discs.set(facecolors=colours.reshape(-1, 3), edgecolors="none", zorder=1)
     axes.fill(*outline(top, ring, alone), fc=(0.88, 0.88, 0.88, 0.25), ec="0.4", lw=1, zorder=2)
     if sector.order > 1:
@@ -228,7 +227,7 @@ def _moment(seen: Snapshot) -> str:
 def _figure(seen: Snapshot, size: tuple[float, float], title: str):
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.add_subplot()
-    axes.set_title(f"{title}, {_moment(seen)}", fontsize=11)
+    axes.set_title(f"{title}\n{_moment(seen)}", fontsize=11)
     return figure, axes
 
 

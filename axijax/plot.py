@@ -115,6 +115,13 @@ def labels(results: Sequence[Result]) -> list[str]:
     ]
 
 
+def thornton_ratio(case: "Case") -> float | None:
+    """Thornton's stress ratio of the ideal array where the specimen is an FCC one, 2 (1 + f) / (1 - f) [-]."""
+    if not case.specimen.kind.startswith("fcc"):
+        return None
+    return float(theory.fcc_stress_ratio(case.parameters.friction if case.scene.friction else 0.0))
+
+
 def _short(value) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
@@ -124,18 +131,23 @@ def curve_figure(results: Sequence[Result], data: Measured | None = None) -> Fig
     specimen is an FCC array; measured data as points."""
     figure = Figure(figsize=(7.5, 7.5), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    lines: dict[str, tuple[float, str]] = {}
     for number, (result, name) in enumerate(zip(results, labels(results), strict=True)):
         curve, case = result.curve, case_of(result)
         colour, style = COLOURS[number % len(COLOURS)], STYLES[number // len(COLOURS) % len(STYLES)]
         strain = 100 * curve.axial_strain.values
-        upper.plot(strain, curve.stress_ratio.values, style, color=colour, label=name)
-        lower.plot(strain, 100 * curve.volumetric_strain.values, style, color=colour)
-        if case is not None and case.specimen.kind.startswith("fcc") and case.scene.friction:
-            ratio = theory.fcc_stress_ratio(case.parameters.friction)
-            label = f"Thornton (1979), f = {case.parameters.friction:g}"
-            drawn = {line.get_label() for line in upper.lines}
-            if label not in drawn:
-                upper.axhline(ratio, color=colour, lw=1, ls=(0, (6, 3)), label=label)
+        # Thinner from one to the next, so that runs that coincide still show.
+        width = 1.6 + 1.6 * (len(results) - 1 - number) / max(len(results) - 1, 1)
+        line = {"color": colour, "ls": style, "lw": width}
+        upper.plot(strain, curve.stress_ratio.values, label=name, **line)
+        lower.plot(strain, 100 * curve.volumetric_strain.values, **line)
+        ratio = None if case is None else thornton_ratio(case)
+        if case is not None and ratio is not None:
+            friction = case.parameters.friction if case.scene.friction else 0.0
+            lines.setdefault(f"Thornton (1979), f = {friction:g}", (ratio, colour))
+    end = max(100 * float(result.curve.axial_strain.max()) for result in results)
+    for label, (ratio, colour) in lines.items():
+        upper.plot([0, end], [ratio, ratio], color=colour, lw=1, ls=(0, (6, 3)), label=label)
     if data is not None:
         points = {"color": "black", "ls": "none", "marker": "o", "mfc": "none", "ms": 5}
         upper.plot(100 * data.axial_strain, data.stress_ratio, label=f"measured, {Path(data.source).name}", **points)
@@ -168,7 +180,7 @@ def plot_result(
     known = ("curve", *pictures.KINDS)
     for kind in kinds:
         if kind not in known:
-            near = difflib.get_close_matches(kind, known, n=1)
+            near = difflib.get_close_matches(kind, known, n=1, cutoff=0.4)
             hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}."
             raise ValueError(f"kind = '{kind}' is no picture; {hint}")
     count = sum(1 if kind == "curve" else len(results) for kind in kinds)

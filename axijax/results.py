@@ -194,8 +194,8 @@ class Result:
         path = self.path / "checkpoint.npz"
         if not self.has_state:
             raise ValueError(
-                f"result '{self.path}' holds no last state (checkpoint.npz): only its curves can be shown; run the case "
-                "again to see the balls."
+                f"result '{self.path}' holds no last state (checkpoint.npz): only its curves can be shown; run the "
+                "case again to see the balls."
             )
         return load_progress(path, self.test)
 

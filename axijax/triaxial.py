@@ -35,12 +35,13 @@ from axijax.dynamics import (
     mass_per_cube,
     positions,
 )
-from axijax.membrane import Load, Membrane, build_membrane, membrane_load, zone_found_again
+from axijax.membrane import Load, Membrane, build_membrane, membrane_load
 from axijax.neighbors import Network, build_network, carry_springs
 from axijax.observe import Observation, observe
 from axijax.packing import Specimen, cut_to_sector
 from axijax.sector import Sector, radial_distance
 from axijax.vector import zeros
+from axijax.zone import zone_found_again
 
 SEGMENT = 1000  # steps between looks at the run from outside: progress, rebuilding, errors
 STALE = 1e-2  # largest share of the strip's area that may be counted to the wrong cell; rebuilt at a twentieth
