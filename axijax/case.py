@@ -256,18 +256,27 @@ def _shortest(value: float) -> str:
 
 def load_case(path: Path | str) -> Case:
     """Read a case file. Raises ValueError, naming file, field, value and what is allowed."""
+    return make_case(read_toml(path), str(path))
+
+
+def read_toml(path: Path | str) -> dict:
+    """What a TOML file holds. Raises ValueError where it cannot be read."""
     try:
         with open(path, "rb") as file:
-            data = tomllib.load(file)
+            return tomllib.load(file)
     except OSError as error:
         raise ValueError(f"case file '{path}' cannot be read: {error.strerror}.") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"case file '{path}' is not valid TOML: {error}.") from None
+
+
+def make_case(data: dict, source: str) -> Case:
+    """A case from what a file called `source` holds. Raises ValueError like `load_case`."""
     try:
         return Case.model_validate(data)
     except ValidationError as error:
         told = "; ".join(map(_sentence, error.errors()))
-        raise ValueError(f"case file '{path}': {told}{'' if told.endswith('?') else '.'}") from None
+        raise ValueError(f"case file '{source}': {told}{'' if told.endswith('?') else '.'}") from None
 
 
 def _sentence(problem) -> str:

@@ -3,11 +3,13 @@
 import shlex
 import sys
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from axijax.cli_batch import batch
 from axijax.cli_check import check
 from axijax.cli_pictures import plot, report, snapshot
 from axijax.cli_run import new, resume, run
@@ -131,7 +133,7 @@ def _table(rows):
 
 
 # In the order of the help: each command with examples.
-COMMANDS = {
+COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
     new: ("axijax new first.toml", "axijax new --kind fcc cylinder.toml"),
     check: ("axijax check first.toml", "axijax check results/first", "axijax check --json first.toml"),
     run: ("axijax run first.toml", "axijax run first.toml --output strong --json"),
@@ -139,6 +141,7 @@ COMMANDS = {
     plot: ("axijax plot results/first", "axijax plot results/first results/strong --output both.png"),
     report: ("axijax report results/first", "axijax report results/first --data measured.csv --output first.html"),
     snapshot: ("axijax snapshot results/first", "axijax snapshot results/first --full"),
+    batch: ("axijax batch sweep.toml", "axijax batch sweep.toml --output strengths --workers 2"),
     calibrate: ("axijax calibrate measured.csv", "axijax calibrate measured.csv --fit friction,kn --case first.toml"),
     table1: ("axijax table1", "axijax table1 --output paper"),
 }
@@ -154,9 +157,10 @@ def main(arguments: list[str] | None = None) -> int:
     given = sys.argv[1:] if arguments is None else arguments
     warnings.showwarning = lambda message, *_: print(f"axijax: warning: {message}", file=sys.stderr)
     if given and "--help" not in given:  # help does without JAX, which takes a second to import
-        from axijax.platform import fast_cpu_kernels
+        from axijax.platform import fast_cpu_kernels, use_compilation_cache
 
         fast_cpu_kernels()
+        use_compilation_cache()
     try:
         return app(given, standalone_mode=False) or 0
     except (ValueError, RuntimeError, OSError) as error:

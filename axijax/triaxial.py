@@ -39,6 +39,7 @@ from axijax.membrane import Load, Membrane, build_membrane, membrane_load
 from axijax.neighbors import Network, build_network, carry_springs
 from axijax.observe import Observation, observe
 from axijax.packing import Specimen, cut_to_sector
+from axijax.platform import warn_where_batched
 from axijax.sector import Sector, radial_distance
 from axijax.vector import zeros
 from axijax.zone import zone_found_again
@@ -217,9 +218,11 @@ class TriaxialTest:
     def simulate(self, params: Params) -> Curve:
         """The whole test as a pure function of its parameters, for jax.jit, jax.vmap and jax.jvp.
 
+        For many parameter sets see `axijax.batch.simulate_many`: on a CPU, vmap over parameters is slow, and warned of.
         One contact list serves the whole test, which is right up to about 2 % strain. Look at `status` of what comes
         back, or call `raise_for_status`.
         """
+        params = warn_where_batched(params)
         return _simulate(self.scene, self.protocol, self._numbers(self.network, self.membrane), params)
 
     def confine(self, params: Params | None = None) -> tuple[State, Confinement]:
