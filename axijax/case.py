@@ -27,7 +27,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_serializer, model_validator
 
 from axijax.dynamics import Params, Scene
 from axijax.packing import Specimen, fcc_cylinder, fcc_octagon, lattice_cylinder
@@ -120,6 +120,10 @@ class SpecimenCase(_Section):
         for name in self.model_fields_set - {"kind", *taken}:
             raise ValueError(f"{name} does not belong to kind = '{self.kind}', which takes {', '.join(taken)}")
         return self
+
+    @model_serializer(mode="wrap")
+    def _taken(self, dump) -> dict[str, Any]:
+        return {name: value for name, value in dump(self).items() if name in ("kind", *KINDS[self.kind][0])}
 
     def build(self) -> Specimen:
         options = {name: getattr(self, name) for name in KINDS[self.kind][0]}
