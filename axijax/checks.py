@@ -110,7 +110,7 @@ def _state_checks(test: TriaxialTest, seen: Snapshot) -> list[Check]:
     """Checks of the last state; seen: of the sector alone."""
     single = np.dtype(test.dtype) == np.float32
     bottom, top = seen.platens.heights
-    mean = seen.platens.forces.mean()
+    mean = max(seen.platens.forces.mean(), 1e-300)
     volume = 4 / 3 * np.pi * seen.balls.radius**3 * seen.balls.weight
     internal = float((seen.balls.stress[2, 2] * volume).sum())
     checks = [

@@ -8,7 +8,9 @@ sphere, scaled by `radius` with factor 2), contacts are lines (filter Tube, radi
 and platens are faces. An index names only files that are whole, at whatever moment a run is stopped.
 """
 
+import contextlib
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
@@ -48,14 +50,15 @@ class SnapshotWriter:
         self.strains = [strain for strain in self.strains if float(strain) < float(_number(moment.axial_strain))]
         place = len(self.strains)
         self.strains.append(_number(moment.axial_strain))
-        paths = []
-        for part, mesh in meshes(moment).items():
-            paths.append(self.folder / f"{part}_{place:04d}.vtu")
-            write_whole(paths[-1], lambda target, mesh=mesh: mesh.write(target, file_format="vtu"))
-        for part in PARTS:
-            paths.append(self.folder / f"{part}.pvd")
-            write_whole(paths[-1], lambda target, part=part: target.write_text(_index(part, self.strains)))
-        return paths
+        parts = meshes(moment)
+        files = {part: self.folder / f"{part}_{place:04d}.vtu" for part in PARTS}
+        for part, path in files.items():
+            write_whole(path, partial(parts[part].write, file_format="vtu"))
+        indexes = {part: self.folder / f"{part}.pvd" for part in PARTS}
+        for part, path in indexes.items():
+            text = _index(part, self.strains)
+            write_whole(path, partial(Path.write_text, data=text))
+        return [*files.values(), *indexes.values()]
 
     def _confined(self, progress: Progress) -> np.ndarray:
         """Centres at the end of confinement: kept in the folder, or from confining once more."""
@@ -63,12 +66,10 @@ class SnapshotWriter:
         if progress.records.height.size == 0:
             confined = np.asarray(positions(progress.network, progress.state), float)
         else:
-            try:
-                confined = np.load(kept, allow_pickle=False)
-            except (OSError, ValueError, EOFError):
-                confined = None
-            if confined is not None and confined.shape == (3, len(self.test.cut)):
-                return confined
+            with contextlib.suppress(OSError, ValueError, EOFError):
+                found = np.load(kept, allow_pickle=False)
+                if found.shape == (3, len(self.test.cut)):
+                    return found
             confined = confined_positions(self.test, progress)
 
         def save(target: Path) -> None:
@@ -146,7 +147,8 @@ def _faces(polygons: list[np.ndarray], data: Mapping[str, np.ndarray]) -> "meshi
 
     corners = np.array([len(polygon) for polygon in polygons], int)
     first = np.cumsum(corners) - corners
-    blocks, values = [], {name: [] for name in data}
+    blocks: list[tuple[str, np.ndarray]] = []
+    values: dict[str, list[np.ndarray]] = {name: [] for name in data}
     for number in np.unique(corners):  # cells of one kind have one number of corners
         which = np.flatnonzero(corners == number)
         blocks.append(("polygon", first[which, None] + np.arange(number)))

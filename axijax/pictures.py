@@ -29,11 +29,11 @@ def force_network(seen: Snapshot) -> Figure:
     _circles(axes, seen, unit)
     for sliding, colour in ((False, STUCK), (True, SLIDING)):
         part = np.flatnonzero(shown & (contacts.sliding == sliding))
-        lines = np.stack([start[::2, part].T, end[::2, part].T], axis=1)
+        lines = [*np.stack([start[::2, part].T, end[::2, part].T], axis=1)]
         widths = 2.5 * contacts.normal_force[part] / mean
         axes.add_collection(LineCollection(lines, linewidths=widths, colors=colour, capstyle="round"))
-    for sliding, colour in (("not sliding", STUCK), ("sliding", SLIDING)):
-        axes.plot([], [], color=colour, lw=2.5, label=sliding)
+    for label, colour in (("not sliding", STUCK), ("sliding", SLIDING)):
+        axes.plot([], [], color=colour, lw=2.5, label=label)
     for size in (0.5, 1, 2):
         axes.plot([], [], color="0.4", lw=2.5 * size, label=f"{size:g} x mean ({size * mean:.2g} [F])")
     _frame(axes, seen, unit)
@@ -52,7 +52,7 @@ def fabric_rose(seen: Snapshot) -> Figure:
     figure.suptitle(f"fabric: contact normals by their angle above the horizontal\n{_moment(seen)}", fontsize=11)
     weights = (("number", contacts.share), ("normal force", contacts.share * contacts.normal_force))
     for place, (name, weight) in enumerate(weights):
-        axes = figure.add_subplot(1, 2, place + 1, projection="polar")
+        axes = figure.add_subplot(1, 2, place + 1, projection="polar", rlabel_position=292.5)
         held = np.histogram(inclination, edges, weights=weight)[0]
         density = held / max(held.sum(), 1e-300) / share
         middle = (edges[1:] + edges[:-1]) / 2
@@ -66,7 +66,6 @@ def fabric_rose(seen: Snapshot) -> Figure:
         axes.set_xticks(np.deg2rad([0, 30, 60, 90, 120, 150, 180, 210, 240, 270, 300, 330]))
         axes.set_xticklabels(["0°", "30°", "60°", "90°\n(vertical)", *[""] * 8])
         axes.tick_params(axis="y", labelsize=8)
-        axes.set_rlabel_position(292.5)
     axes.legend(loc="lower right", bbox_to_anchor=(1.12, -0.12), frameon=False, fontsize=9)
     return figure
 
@@ -86,12 +85,7 @@ def membrane_cells(seen: Snapshot) -> Figure:
     cells.set_array(np.tile(membrane.area, len(around)))
     axes.add_collection(cells)
     figure.colorbar(cells, ax=axes, label="area of a cell [L²]", shrink=0.8, pad=0.015)
-    row = np.full(int(seen.balls.number.max()) + 1, -1)
-    own = np.flatnonzero(seen.balls.image == 0)
-    row[seen.balls.number[own]] = own
-    x, y, z = seen.balls.positions[:, row[membrane.number]]
-    angle = np.mod(np.arctan2(y, x) + 1e-9, seen.sector.angle) + membrane.image * seen.sector.angle
-    axes.plot(membrane.radius * angle, z, ".", color="black", ms=2.5)
+    axes.plot(*membrane.places, ".", color="black", ms=2.5)
     for k in range(turns + 1):
         axes.axvline(k * width, color="black", lw=0.9, ls="--")
     bottom, top = seen.platens.heights

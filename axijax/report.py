@@ -167,7 +167,7 @@ def _checks(result: Result, energy: bool) -> str:
             escape(check.name),
             escape(check.value) if isinstance(check.value, str) else f"{check.value + 0.0:.2g}",
             check.limit if isinstance(check.limit, str) else f"≤ {check.limit:g}",
-            f'<span class="{"passed" if check.passed else "failed"}">{"passed" if check.passed else "NOT passed"}</span>',
+            '<span class="passed">passed</span>' if check.passed else '<span class="failed">NOT passed</span>',
             f'<span class="note">{escape(check.meaning)}</span>',
         ]
         for check in result_checks(result, energy)
@@ -203,9 +203,9 @@ def _pictures(result: Result) -> Iterable[str]:
     seen = snapshot(result.test, result.progress, full=True)
     own = int((seen.balls.image == 0).sum())
     yield (
-        f'<p class="note">The last state, at {100 * seen.axial_strain:.3g} % axial strain (a run ends with a whole stretch '
-        f"of steps, so a little past the curves): {own} balls simulated, {seen.balls.number.size} with the images of the "
-        f"sector, {seen.contacts.first.size} touching contacts among these.</p>"
+        f'<p class="note">The last state, at {100 * seen.axial_strain:.3g} % axial strain (a run ends with a whole '
+        f"stretch of steps, so a little past the curves): {own} balls simulated, {seen.balls.number.size} with the "
+        f"images of the sector, {seen.contacts.first.size} touching contacts among these.</p>"
     )
     figures = {
         kind: _figure(pictures.KINDS[kind](seen), caption, kind)

@@ -61,7 +61,7 @@ def curves_dataset(curves: Mapping[str, Curve], labels: Mapping[str, Sequence], 
     import xarray
 
     longest = max(np.size(curve.axial_strain) for curve in curves.values())
-    data = {}
+    data: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
     for name in RECORDS:
         table = np.full((len(curves), longest), np.nan)
         for row, curve in zip(table, curves.values(), strict=True):
@@ -69,8 +69,8 @@ def curves_dataset(curves: Mapping[str, Curve], labels: Mapping[str, Sequence], 
             row[: values.size] = values
         data[name] = (("run", "record"), table, {"long_name": LONG_NAMES[name], "units": UNITS[name]})
     for name, long_name in CONFINEMENT.items():
-        values = [getattr(curve.confinement, name.removeprefix("confinement_")) for curve in curves.values()]
-        data[name] = ("run", np.asarray(values), {"long_name": long_name, "units": "1"})
+        ends = [getattr(curve.confinement, name.removeprefix("confinement_")) for curve in curves.values()]
+        data[name] = (("run",), np.asarray(ends), {"long_name": long_name, "units": "1"})
     coordinates = {"run": list(curves), **{name: ("run", list(values)) for name, values in labels.items()}}
     return xarray.Dataset(data, coordinates, dict(attributes))
 

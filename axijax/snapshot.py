@@ -4,6 +4,7 @@ The sector's images are filled in where asked for: every vector and tensor is tu
 comes once, and so does a contact that is its own image.
 """
 
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -12,11 +13,12 @@ import numpy as np
 
 from axijax.contact import contact_friction, geometry
 from axijax.dynamics import all_forces, positions
-from axijax.membrane import Membrane, _corner_places, lateral_force, membrane_load, membrane_radius
+from axijax.membrane import lateral_force, membrane_load, membrane_radius
 from axijax.platens import sector_plane_force
 from axijax.sector import Sector, plane_normals
 from axijax.triaxial import Progress, TriaxialTest
-from axijax.vector import from_rows, zeros
+from axijax.vector import zeros
+from axijax.zone import cell_polygons
 
 
 class Balls(NamedTuple):
@@ -77,7 +79,7 @@ class MembraneCells(NamedTuple):
     """Z cells on the unfolded cylinder of radius Rm.
 
     number, image: ball of each cell and how often it is turned, (Z,).
-    polygons: corners (P, 2) of each cell, x' = theta Rm and z [L].
+    places: (2, Z) of the balls on it, x' = theta Rm and z [L]. polygons: corners (P, 2) of each cell [L].
     area: (Z,) of the cells as loaded [L^2]. force: (Z,) inward [F].
     radius: Rm [L].
     stale: share of the strip counted to a wrong cell since the membrane was triangulated [-].
@@ -85,6 +87,7 @@ class MembraneCells(NamedTuple):
 
     number: np.ndarray
     image: np.ndarray
+    places: np.ndarray
     polygons: list[np.ndarray]
     area: np.ndarray
     force: np.ndarray
@@ -205,7 +208,7 @@ def snapshot(
         full=full,
         balls=balls if full else part(balls, balls.image == 0),
         contacts=contacts if full else part(contacts, contacts.copy == 0),
-        membrane=_cells(progress, seen, heights, sector.images if full else 1),
+        membrane=_cells(test, progress, seen, heights, sector.images if full else 1),
         platens=Platens(heights, forces),
     )
 
@@ -275,45 +278,28 @@ def _turned(sector: Sector, tensors: np.ndarray, image: np.ndarray) -> np.ndarra
     return np.einsum("aib,bij,cjb->bac", axes, tensors, axes)
 
 
-def _cells(progress: Progress, seen, heights: np.ndarray, images: int) -> MembraneCells:
+def _cells(test: TriaxialTest, progress: Progress, seen, heights: np.ndarray, images: int) -> MembraneCells:
     membrane, sector = progress.membrane, progress.network.sector
     if progress.fixed is not None and progress.fixed.lateral.ndim == 2:  # loaded without a membrane
         none = np.zeros(0, int)
-        return MembraneCells(none, none, [], np.zeros(0), np.zeros(0), float(seen["membrane_radius"]), 0.0)
+        return MembraneCells(
+            none, none, np.zeros((2, 0)), [], np.zeros(0), np.zeros(0), float(seen["membrane_radius"]), 0.0
+        )
     zone, radius = np.asarray(membrane.zone), float(seen["membrane_radius"])
-    polygons = _polygons(membrane, np.asarray(positions(progress.network, progress.state), float), heights, radius)
+    now = replace(
+        test.cut, positions=np.asarray(positions(progress.network, progress.state), float), bottom=heights[0],
+        top=heights[1], membrane_zone=np.isin(np.arange(len(test.cut)), zone),
+    )  # fmt: skip
+    cells = cell_polygons(now, sector)
     image = np.repeat(np.arange(images), zone.size)
     shift = np.array([radius * sector.angle, 0.0])
     return MembraneCells(
-        number=np.tile(zone, images),
+        number=np.tile(cells.balls, images),
         image=image,
-        polygons=[polygon + k * shift for k in range(images) for polygon in polygons],
-        area=np.tile(seen["area"][zone], images),
-        force=np.tile(np.linalg.norm(seen["lateral"][:, zone], axis=0), images),
+        places=np.concatenate([cells.places + k * shift[:, None] for k in range(images)], axis=1),
+        polygons=[polygon + k * shift for k in range(images) for polygon in cells.polygons],
+        area=np.tile(seen["area"][cells.balls], images),
+        force=np.tile(np.linalg.norm(seen["lateral"][:, cells.balls], axis=0), images),
         radius=radius,
         stale=float(seen["stale"]),
     )
-
-
-def _polygons(membrane: Membrane, place: np.ndarray, heights: np.ndarray, radius: float) -> list[np.ndarray]:
-    """Corners (P, 2) of each cell of the zone: the centres of the circles through the triangles around its ball."""
-    corners = np.asarray(_corner_places(membrane, from_rows(place), *heights, radius), float)  # (2, 3, T)
-    a, b, c = np.moveaxis(corners, 1, 0)
-    b, c = b - a, c - a
-    with np.errstate(divide="ignore", invalid="ignore"):
-        twice = 2 * (b[0] * c[1] - b[1] * c[0])
-        bb, cc = (b * b).sum(0), (c * c).sum(0)
-        centre = a + np.stack([c[1] * bb - b[1] * cc, b[0] * cc - c[0] * bb]) / twice
-    owned, corner = np.asarray(membrane.owned) > 0, np.asarray(membrane.corner)
-    which, triangle = np.nonzero(owned)
-    cells = corner[which, triangle]
-    polygons = []
-    for cell in range(membrane.zone.size):
-        around = cells == cell
-        ball = corners[:, which[around][0], triangle[around][0]]
-        points = centre[:, triangle[around]]
-        middle = corners[:, :, triangle[around]].mean(axis=1) - ball[:, None]
-        points = points[:, np.argsort(np.arctan2(middle[1], middle[0]))]
-        points[1] = np.clip(points[1], *heights)  # a centre on a platen has half a cell
-        polygons.append(points.T)
-    return polygons
