@@ -126,7 +126,7 @@ def _warnings(case: Case, test: TriaxialTest, found: Forecast, collapsed: bool) 
         ),
         (
             found.inertial_number > 1e-3,
-            f"inertial number {found.inertial_number:.1e} is above 1e-3: the peak will be too high (1 % at 9e-4, 5 to "
+            f"inertial number {found.inertial_number:.2e} is above 1e-3: the peak will be too high (1 % at 9e-4, 5 to "
             "7 % at 2e-3); lower parameters.platen_speed",
         ),
         (
