@@ -11,12 +11,6 @@ _RESULTS = typer.Argument(
 _DATA = typer.Option(help="Measured curve to overlay, CSV with columns such as 'axial_strain [%]' and 'stress_ratio'.")
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands to the command line."""
-    for command in (plot, report, snapshot):
-        app.command()(command)
-
-
 def plot(
     result: Annotated[list[Path], _RESULTS],
     kind: Annotated[

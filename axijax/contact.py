@@ -6,12 +6,15 @@ capped at friction * normal force and the spring is scaled by the same factor (C
 Stiffnesses are the contact's, not the ball's. Dashpots c = 2 * beta * sqrt(k * m*), with m* the reduced mass of
 the pair, m/2 for two equal balls.
 
+A law whose constants depend on the overlap (`axijax.hertz`) is this one with the constants of the moment, which its
+method `at` gives.
+
 `frictional_law` carries its own derivative: written out by hand it shares the intermediate results of the value, and a
 tangent costs little more than the value does.
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +28,7 @@ class Law(NamedTuple):
     """Constants of the linear law; numbers or (C,) arrays. Viscosities are None without dashpots.
 
     normal_stiffness, shear_stiffness [F/L]; friction [-]; normal_viscosity, shear_viscosity [F T/L].
+    kept: the share of the spring of the step before that is left before this step's slip [-]; None for all of it.
     """
 
     normal_stiffness: jax.Array
@@ -32,6 +36,23 @@ class Law(NamedTuple):
     friction: jax.Array
     normal_viscosity: jax.Array | None
     shear_viscosity: jax.Array | None
+    kept: jax.Array | None = None
+
+    def at(self, place: "Geometry", approach: Vector | None, dt) -> "Law":
+        """The law of this moment: the same at all."""
+        return self
+
+    def energy(self, overlap_product):
+        """Elastic energy of a contact whose overlaps, a little earlier and later, have this product [F L]."""
+        return 0.5 * self.normal_stiffness * overlap_product
+
+
+class ContactLaw(Protocol):
+    """What a contact law is to the rest of the program."""
+
+    def at(self, place: "Geometry", approach: Vector | None, dt) -> Law: ...
+
+    def energy(self, overlap_product) -> jax.Array: ...
 
 
 class Contacts(NamedTuple):
@@ -91,22 +112,24 @@ def contact_friction(params, network: Network):
     return 0.5 * (friction[network.first] + friction[network.second])
 
 
-def contact_forces(law: Law, network: Network, dt, displacement, velocity, surface_speed, spring) -> Contacts:
+def contact_forces(law: ContactLaw, network: Network, dt, displacement, velocity, surface_speed, spring) -> Contacts:
     """Forces of all contacts and their springs one step later.
 
     displacement, velocity: (N,) [L], [L/T]. surface_speed: (N,) radius times spin [L/T]; None where nothing spins.
     spring: (C,) [L]; None for frictionless contacts. dt: time step [T].
     """
     place = geometry(network, displacement)
-    if spring is None and law.normal_viscosity is None:
-        return Contacts(elastic_force(law, place), None, None)
+    if spring is None:
+        frictionless = law.at(place, None, dt)
+        if frictionless.normal_viscosity is None:
+            return Contacts(elastic_force(frictionless, place), None, None)
     approach = network.of_first(velocity) - network.of_second(velocity)
     if spring is None:
-        return Contacts(frictionless_force(law, place, approach), None, None)
+        return Contacts(frictionless_force(frictionless, place, approach), None, None)
     rolling = None
     if surface_speed is not None:
         rolling = network.of_first(surface_speed) + network.of_second(surface_speed)
-    return Contacts(*frictional_law(law, dt, place, approach, rolling, spring))
+    return Contacts(*frictional_law(law.at(place, approach, dt), dt, place, approach, rolling, spring))
 
 
 def elastic_force(law: Law, place: Geometry) -> Vector:
@@ -137,6 +160,8 @@ def _evaluate(law: Law, dt, place: Geometry, approach: Vector, rolling: Vector |
     touching = place.overlap > 0
     pressing = touching & (push > 0)
     push = jnp.where(pressing, push, 0.0)
+    if law.kept is not None:
+        spring = spring * law.kept
     twist = spring.dot(normal)
     trial_spring = spring - normal * twist + slip_rate * dt
     trial = trial_spring * law.shear_stiffness
@@ -150,7 +175,7 @@ def _evaluate(law: Law, dt, place: Geometry, approach: Vector, rolling: Vector |
     scale = jnp.where(touching, jnp.minimum(limit * per_size, 1.0), 0.0)
     force = normal * push - trial * scale
     shared = (
-        inverse, normal, normal_speed, slip_rate, touching, pressing, push, twist, trial_spring, trial, sliding,
+        inverse, normal, normal_speed, slip_rate, touching, pressing, push, spring, twist, trial_spring, trial, sliding,
         per_size, scale,
     )  # fmt: skip
     return (force, force.cross(place.apart) * place.per_reach, trial_spring * scale), shared
@@ -182,7 +207,7 @@ def _frictional_law_jvp(primals, tangents):
     place_d, approach_d, spring_d = moving(place_d, place), moving(approach_d, approach), moving(spring_d, spring)
     results, shared = _evaluate(*primals)
     (
-        inverse, normal, normal_speed, slip_rate, touching, pressing, push, twist, trial_spring, trial, sliding,
+        inverse, normal, normal_speed, slip_rate, touching, pressing, push, left, twist, trial_spring, trial, sliding,
         per_size, scale,
     ) = shared  # fmt: skip
     force = results[0]
@@ -197,7 +222,9 @@ def _frictional_law_jvp(primals, tangents):
     if law.normal_viscosity is not None:
         push_d = plus(push_d - law.normal_viscosity * normal_speed_d, law_d.normal_viscosity, -normal_speed)
     push_d = jnp.where(pressing, push_d, 0.0)
-    twist_d = spring_d.dot(normal) + spring.dot(normal_d)
+    if law.kept is not None:
+        spring_d = plus_vector(spring_d * law.kept, law_d.kept, spring)
+    twist_d = spring_d.dot(normal) + left.dot(normal_d)
     trial_spring_d = spring_d - normal_d * twist - normal * twist_d + slip_rate_d * dt
     trial_d = plus_vector(trial_spring_d * law.shear_stiffness, law_d.shear_stiffness, trial_spring)
     if law.shear_viscosity is not None:

@@ -13,19 +13,33 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from axijax.contact import Contacts, contact_forces, linear_law, resultants
+from axijax.contact import ContactLaw, Contacts, contact_forces, contact_friction, linear_law, resultants
+from axijax.hertz import (
+    confined_force,
+    hertz_force,
+    hertz_law,
+    hertz_wall,
+    reduced_radius,
+    secant_to_shear_stiffness,
+    tangent_stiffness,
+)
 from axijax.membrane import Load, lateral_force
 from axijax.neighbors import Network
-from axijax.platens import platen_forces, sector_plane_force
+from axijax.platens import WallLaw, linear_wall, platen_forces, sector_plane_force
 from axijax.sector import plane_normals, radial_distance
 from axijax.vector import Vector, zeros
 
 Damping = Literal["dashpot", "local", "background", "none"]
+ContactLawName = Literal["linear", "hertz"]
 
 # Largest share of the critical time step that is accepted, and the share taken by default. Past the limit nothing
 # blows up: the Coulomb cap bounds the motion and the peak silently falls, so the limit is kept at arm's length.
 SAFE_STEP = 0.8
 DEFAULT_STEP = 0.6
+
+# Hertzian contacts grow stiffer under load, with the cube root of their force. The time step is chosen for contacts
+# with this many times the mean force under the confining stress: in a close packing at failure it is 2/(1 - f) times.
+OVERLOAD = 4.0
 
 
 @jax.tree_util.register_dataclass
@@ -35,8 +49,12 @@ class Params:
 
     Defaults are those of Cui & O'Sullivan (2005), section 4.2, with friction as measured by Rowe (1962).
 
-    friction: Coulomb coefficient between balls [-]; a number, or (N,) one per ball (a contact takes the mean).
-    normal_stiffness, shear_stiffness: of a contact [F/L].
+    friction may also be (N,), one per ball: a contact takes the mean.
+
+    friction: Coulomb coefficient between balls [-].
+    normal_stiffness, shear_stiffness: of a contact, with contact_law = "linear" [F/L].
+    shear_modulus: of the balls' material, with contact_law = "hertz" [F/L^2]; by default glass, the stress being in Pa.
+    poisson_ratio: of the balls' material, with contact_law = "hertz" [-].
     confining_stress: s3, compression positive [F/L^2].
     platen_speed: speed of each platen during shear, inward positive [L/T].
     density: of the balls [M/L^3].
@@ -54,10 +72,12 @@ class Params:
     damping_ratio: jax.Array | float = 0.05
     local_damping: jax.Array | float = 0.7
     background_damping: jax.Array | float = 0.5
+    shear_modulus: jax.Array | float = 2.9e10
+    poisson_ratio: jax.Array | float = 0.2
 
     @property
     def platen_stiffness(self) -> jax.Array | float:
-        """Stiffness of ball-plate contacts: the balls' normal stiffness [F/L]."""
+        """Stiffness of ball-plate contacts of the linear law: the balls' normal stiffness [F/L]."""
         return self.normal_stiffness
 
 
@@ -66,7 +86,7 @@ def check_params(params: Params, balls: int) -> None:
 
     balls: number of balls in the sector, for a friction per ball.
     """
-    positive = ("normal_stiffness", "shear_stiffness", "confining_stress", "density")
+    positive = ("normal_stiffness", "shear_stiffness", "shear_modulus", "confining_stress", "density")
     for name, value in vars(params).items():
         if isinstance(value, jax.core.Tracer):
             continue
@@ -83,6 +103,8 @@ def check_params(params: Params, balls: int) -> None:
             raise ValueError(f"{name} = {shown:g}: must be zero or positive.")
         if name == "local_damping" and numbers.max() >= 1:
             raise ValueError(f"{name} = {numbers.max():g}: must be below 1, or a force no longer moves its ball.")
+        if name == "poisson_ratio" and numbers.max() >= 0.5:
+            raise ValueError(f"{name} = {numbers.max():g}: must be below 0.5, where a material is incompressible.")
         if numbers.shape != () and not (name == "friction" and numbers.shape == (balls,)):
             allowed = "one number" + (f", or ({balls},), one per ball" if name == "friction" else "")
             raise ValueError(f"{name} has shape {numbers.shape}: must be {allowed}.")
@@ -96,11 +118,13 @@ class Scene:
     friction: contacts carry tangential springs; without it no spring is stored and nothing spins.
     damping: "dashpot" (in the contacts, the default), "local" (Cundall's; its tangents are meaningless),
         "background" (mass-proportional; adds strength that is not there) or "none".
+    contact_law: "linear" springs, or "hertz" for elastic spheres of one material (Hertz-Mindlin, see `axijax.hertz`).
     """
 
     rotation: bool = True
     friction: bool = True
     damping: Damping = "dashpot"
+    contact_law: ContactLawName = "linear"
 
     def __post_init__(self) -> None:
         if self.damping not in ("dashpot", "local", "background", "none"):
@@ -108,6 +132,8 @@ class Scene:
                 f"damping = {self.damping!r}: must be 'dashpot', 'local', 'background' or 'none'; "
                 "take 'dashpot' where derivatives are wanted."
             )
+        if self.contact_law not in ("linear", "hertz"):
+            raise ValueError(f"contact_law = {self.contact_law!r}: must be 'linear' or 'hertz'.")
 
     @property
     def spins(self) -> bool:
@@ -175,22 +201,38 @@ def mass_per_cube(params: Params):
     return params.density * (4 / 3) * jnp.pi
 
 
+def contact_laws(scene: Scene, params: Params, network: Network) -> tuple[ContactLaw, WallLaw]:
+    """The law of the contacts and that of the plates, with the dashpots that the scene asks for."""
+    dashpots = scene.damping == "dashpot"
+    per_cube = mass_per_cube(params)
+    if scene.contact_law == "hertz":
+        friction = contact_friction(params, network)
+        return (
+            hertz_law(params, network, per_cube, friction, dashpots=dashpots),
+            hertz_wall(params, network, per_cube, dashpots=dashpots),
+        )
+    law = linear_law(params, network, per_cube, dashpots=dashpots)
+    return law, linear_wall(params, per_cube * network.radius**3, dashpots=dashpots)
+
+
+def secant_stiffness_ratio(scene: Scene, params: Params):
+    """Normal force over overlap, over the tangential stiffness [-]; of either law the same at any load."""
+    if scene.contact_law == "hertz":
+        return secant_to_shear_stiffness(params)
+    return params.normal_stiffness / params.shear_stiffness
+
+
 def all_forces(scene: Scene, params: Params, network: Network, load: Load, dt, state: State) -> Forces:
     """Contacts, platens, sector planes and lateral load at the positions of `state`."""
-    dashpots = scene.damping == "dashpot"
-    mass = mass_per_cube(params) * network.radius**3
-    law = linear_law(params, network, mass_per_cube(params), dashpots=dashpots)
+    law, wall = contact_laws(scene, params, network)
     rolling = None if state.spin is None else state.spin * network.radius
     contacts = contact_forces(law, network, dt, state.displacement, state.velocity, rolling, state.spring)
     force, moment = resultants(contacts, network)
     place = positions(network, state)
-    viscosity = 2 * params.damping_ratio * jnp.sqrt(params.platen_stiffness * mass) if dashpots else None
-    push = platen_forces(
-        params, network, state.displacement.z, state.velocity.z, state.platens, state.platen_speeds, viscosity
-    )
+    push = platen_forces(wall, network, state.displacement.z, state.velocity.z, state.platens, state.platen_speeds)
     sideways = lateral_force(params.confining_stress, load, place)
     if network.sector.boundary == "rigid":
-        sideways = sideways + sector_plane_force(params, network, place, state.velocity, viscosity)
+        sideways = sideways + sector_plane_force(wall, network, place, state.velocity)
     force = force + Vector(sideways.x, sideways.y, push[0] - push[1])
     if network.sector.images > 1:
         force = Vector(force.x * network.free.x, force.y * network.free.y, force.z)
@@ -260,6 +302,34 @@ def local_damping_force(params: Params, place: Vector, motion: Vector, force: Ve
     return Vector(*drag).turned(cos, sin)
 
 
+def confined_stiffness(scene: Scene, params: Params, network: Network):
+    """Normal and tangential tangent stiffness [F/L] of the mean contact under the confining stress."""
+    if scene.contact_law == "hertz":
+        return tangent_stiffness(params, 0.5 * network.radius.mean(), confined_force(params, network))
+    return params.normal_stiffness, params.shear_stiffness
+
+
+def _stiffest(scene: Scene, params: Params, network: Network, touching_within: float):
+    """Tangent stiffness of the contacts if closed, normal and tangential, (C,) or numbers, and that of the contacts of
+    one plate as a function of the balls that touch it and of its area [F/L] (host)."""
+    if scene.contact_law == "linear":
+        wall = float(params.platen_stiffness)
+        return float(params.normal_stiffness), float(params.shear_stiffness), lambda balls, area: wall
+    radius = np.asarray(network.radius, float)
+    force = OVERLOAD * confined_force(params, network, touching_within)
+    reduced = reduced_radius(network)
+    normal, shear = tangent_stiffness(
+        params, reduced, jnp.maximum(force, hertz_force(params, reduced, network.overlap))
+    )
+
+    def of_wall(balls, area):
+        share = np.asarray(network.weight)[balls].sum()
+        load = OVERLOAD * float(params.confining_stress) * area / max(share, 1e-3)
+        return np.asarray(tangent_stiffness(params, radius[balls], load)[0])
+
+    return np.asarray(normal), np.asarray(shear), of_wall
+
+
 def critical_time_step(scene: Scene, params: Params, network: Network, touching_within: float = 1e-3) -> float:
     """Largest stable time step 2/omega (sqrt(1 + xi^2) - xi) of the actual network [T] (host).
 
@@ -267,6 +337,9 @@ def critical_time_step(scene: Scene, params: Params, network: Network, touching_
     frequency omega, damping ratio xi from the dashpots, which lower the limit (O'Sullivan & Bray 2004 for the
     undamped part). Found by a sparse eigenvalue solver. With dashpots it need not be the fastest mode's: where
     ks < kn they damp spins more. Contacts count as closed where the gap is below touching_within of the ball's radius.
+
+    With contact_law = "hertz" the stiffness is that at the load to come: `OVERLOAD` times the mean contact force under
+    the confining stress, or at the overlap of the network where that is deeper.
     """
     from scipy.sparse.linalg import LinearOperator, eigsh
 
@@ -284,8 +357,11 @@ def critical_time_step(scene: Scene, params: Params, network: Network, touching_
     scale = np.stack([mass] * 3 + [0.4 * mass * radius**2] * (3 if spins else 0))
     scale = 1 / np.sqrt(scale * share)
     count = radius.size
-    stiffness = float(params.normal_stiffness), float(params.shear_stiffness) if scene.friction else 0.0
+    normal_constant, shear_constant, wall_constant = _stiffest(scene, params, network, touching_within)
+    constants = [np.broadcast_to(k, network.first.shape)[closed] for k in (normal_constant, shear_constant)]
+    stiffness = constants[0], constants[1] * scene.friction
     beta = float(np.asarray(params.damping_ratio)) if scene.damping == "dashpot" else 0.0
+    beta *= (5 / 6) ** 0.5 if scene.contact_law == "hertz" else 1.0
     reduced = 1 / (1 / mass[first] + 1 / mass[second])
     normal_viscosity, shear_viscosity = (2 * beta * np.sqrt(constant * reduced) for constant in stiffness)
 
@@ -293,15 +369,17 @@ def critical_time_step(scene: Scene, params: Params, network: Network, touching_
     place = np.asarray(network.positions)
     z = place[2]
     lowest, highest = (z - radius).min(), (z + radius).max()
-    ground = [
-        (np.flatnonzero(z - radius - lowest < touching_within * radius), np.array([0.0, 0.0, 1.0])),
-        (np.flatnonzero(highest - z - radius < touching_within * radius), np.array([0.0, 0.0, 1.0])),
-    ]
+    outer = (np.hypot(*place[:2]) + radius).max()
+    section = np.pi * outer**2 / network.sector.order
+    plates = [(z - radius - lowest, [0.0, 0.0, 1.0], section), (highest - z - radius, [0.0, 0.0, 1.0], section)]
     if network.sector.boundary == "rigid":
         for inward in plane_normals(network.sector):
-            gap = inward @ place[:2] - radius
-            ground.append((np.flatnonzero(gap < touching_within * radius), np.array([*inward, 0.0])))
-    wall = float(params.platen_stiffness)
+            plates.append((inward @ place[:2] - radius, [*inward, 0.0], outer * (highest - lowest)))
+    ground = []
+    for gap, direction, area in plates:
+        balls = np.flatnonzero(gap < touching_within * radius)
+        constant = np.broadcast_to(wall_constant(balls, area), balls.shape)
+        ground.append((balls, np.array(direction), constant, 2 * beta * np.sqrt(constant * mass[balls])))
 
     def turned(vectors, sine):
         x, y, z = vectors
@@ -310,7 +388,7 @@ def critical_time_step(scene: Scene, params: Params, network: Network, touching_
     def collect(balls, vectors):
         return np.stack([np.bincount(balls, row, count) for row in vectors])
 
-    def apply(vector, normal_constant, shear_constant, wall_constant):
+    def apply(vector, normal_constant, shear_constant, viscous):
         motion = (vector.reshape(-1, count) * scale * free).reshape(-1, 3, count)
         relative = motion[0][:, first] - turned(motion[0][:, second], sin)
         if spins:
@@ -323,19 +401,18 @@ def critical_time_step(scene: Scene, params: Params, network: Network, touching_
         if spins:
             arm = np.cross(force, normal, axis=0)
             result[1] = radius * (collect(first, arm) + collect(second, turned(arm, -sin)))
-        for balls, direction in ground:
+        for balls, direction, *constants in ground:
             push = direction @ motion[0][:, balls]
-            result[0][:, balls] += wall_constant[balls] * share[balls] * direction[:, None] * push
+            result[0][:, balls] += constants[viscous] * share[balls] * direction[:, None] * push
         return (result.reshape(-1, count) * scale * free).ravel()
 
     size = scale.size
-    wall_viscosity = 2 * beta * np.sqrt(wall * mass)
 
     def stiff(vector):
-        return apply(vector, *stiffness, np.full(count, wall))
+        return apply(vector, *stiffness, viscous=False)
 
     def viscous(vector):
-        return apply(vector, normal_viscosity, shear_viscosity, wall_viscosity)
+        return apply(vector, normal_viscosity, shear_viscosity, viscous=True)
 
     start = np.random.default_rng(0).standard_normal(size)
 

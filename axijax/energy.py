@@ -7,7 +7,9 @@ The step is a leapfrog: over [t - dt/2, t + dt/2] the kinetic energy grows by ex
 of the velocities before and after, times dt. All work is summed up with that mean, and every energy is that of a
 half step: t - dt/2 for a state at t. The work on a linear spring is then exactly the change of its energy, if that
 is k/2 times the stretch before times the stretch after the half step. So the balance closes to rounding, damping
-included, but for contacts that open, close or turn during a step.
+included, but for contacts that open, close or turn during a step. A Hertzian contact has the energy of the geometric
+mean of its overlaps before and after, which closes at second order in the step. Its tangential spring loses energy when
+the contact radius changes (see `axijax.hertz`); that is booked with the slip, exactly.
 
 All terms are those of one sector: a ball on the axis counts 1/n, and each contact once.
 """
@@ -18,7 +20,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from axijax.contact import geometry
+from axijax.contact import Law, geometry
 from axijax.dynamics import (
     Forces,
     Params,
@@ -26,6 +28,7 @@ from axijax.dynamics import (
     Scene,
     State,
     all_forces,
+    contact_laws,
     local_damping_force,
     make_step,
     mass_per_cube,
@@ -41,7 +44,8 @@ from axijax.vector import Vector
 class Ledger(NamedTuple):
     """Energy moved since the ledger was opened; scalars [F L].
 
-    friction: lost to slip at the Coulomb limit, booked one half step late (see `energy_balance`).
+    friction: lost to slip at the Coulomb limit, and by tangential springs whose stiffness changes; booked one half step
+        late (see `energy_balance`).
     damping: lost to dashpots, or to local or background damping.
     platen_work, lateral_work: done on the balls by the platens and by the lateral load.
     """
@@ -100,13 +104,13 @@ def make_ledger_step(scene: Scene, drive: PlatenDrive):
         spin = None if state.spin is None or after.spin is None else (state.spin + after.spin) * 0.5
         platen_speeds = 0.5 * (state.platen_speeds + after.platen_speeds)
         if scene.damping == "dashpot":
-            lost = _dashpot_power(params, network, forces, state, velocity, spin, platen_speeds)
+            lost = _dashpot_power(scene, params, network, forces, dt, state, velocity, spin, platen_speeds)
         else:
             lost = _drag_power(scene, params, network, forces, state, velocity, spin)
         bottom, top = ((push * network.weight).sum() for push in forces.platen_push)
         sideways = lateral_force(params.confining_stress, load, positions(network, state)).dot(velocity)
         return after, Ledger(
-            friction=ledger.friction + _slip_work(params, network, forces, dt, state, both_ends=True),
+            friction=ledger.friction + _slip_work(scene, params, network, forces, dt, state, both_ends=True),
             damping=ledger.damping + dt * lost,
             platen_work=ledger.platen_work + dt * (bottom * platen_speeds[0] - top * platen_speeds[1]),
             lateral_work=ledger.lateral_work + dt * (sideways * network.weight).sum(),
@@ -131,12 +135,13 @@ def energy_balance(
         spin = 0.5 * (0.4 * mass * network.radius**2 * state.spin.dot(state.spin)).sum()
     if state.spring is not None and forces.contacts.spring is not None:
         stretch = state.spring.dot(forces.contacts.spring)
-        shear_springs = 0.5 * (params.shear_stiffness * stretch * network.share).sum()
-        friction = friction + _slip_work(params, network, forces, dt, state, both_ends=False)
+        before, _ = _laws_before_and_now(scene, params, network, dt, state)
+        shear_springs = 0.5 * (before.shear_stiffness * stretch * network.share).sum()
+        friction = friction + _slip_work(scene, params, network, forces, dt, state, both_ends=False)
     return EnergyBalance(
         translation=0.5 * (mass * state.velocity.dot(state.velocity)).sum(),
         spin=spin,
-        normal_springs=_normal_energy(params, network, dt, state),
+        normal_springs=_normal_energy(scene, params, network, dt, state),
         shear_springs=shear_springs,
         friction=friction,
         damping=ledger.damping,
@@ -145,11 +150,24 @@ def energy_balance(
     )
 
 
-def _normal_energy(params: Params, network: Network, dt, state: State):
-    """Energy of all normal springs at t - dt/2."""
-    earlier = state._replace(
+def _one_step_ago(dt, state: State) -> State:
+    """The state with displacements and platens of t - dt."""
+    return state._replace(
         displacement=state.displacement - state.velocity * dt, platens=state.platens - state.platen_speeds * dt
     )
+
+
+def _laws_before_and_now(scene: Scene, params: Params, network: Network, dt, state: State) -> tuple[Law, Law]:
+    """The constants of the contacts at t - dt and t."""
+    law, _ = contact_laws(scene, params, network)
+    before, now = (geometry(network, at.displacement) for at in (_one_step_ago(dt, state), state))
+    return law.at(before, None, dt), law.at(now, None, dt)
+
+
+def _normal_energy(scene: Scene, params: Params, network: Network, dt, state: State):
+    """Energy of all normal springs at t - dt/2."""
+    earlier = _one_step_ago(dt, state)
+    law, wall = contact_laws(scene, params, network)
 
     def closed(moment):
         gaps = [gap for gap, _ in _walls(network, moment, moment.velocity, moment.platen_speeds)]
@@ -157,22 +175,26 @@ def _normal_energy(params: Params, network: Network, dt, state: State):
         return jnp.maximum(geometry(network, moment.displacement).overlap, 0.0), pressed
 
     (contacts, walls), (contacts_before, walls_before) = closed(state), closed(earlier)
-    energy = 0.5 * (params.normal_stiffness * contacts * contacts_before * network.share).sum()
+    energy = (law.energy(contacts * contacts_before) * network.share).sum()
     for now, before in zip(walls, walls_before, strict=True):
-        energy += 0.5 * (params.platen_stiffness * now * before * network.weight).sum()
+        energy += (wall.energy(now * before) * network.weight).sum()
     return energy
 
 
-def _slip_work(params: Params, network: Network, forces: Forces, dt, state: State, *, both_ends: bool):
-    """Work of the shear springs in what the Coulomb cap has cut off them since t - dt: the mean of their forces at
-    t - dt and t times the slip; or, of the two halves of that mean, only the first."""
+def _slip_work(scene: Scene, params: Params, network: Network, forces: Forces, dt, state: State, *, both_ends: bool):
+    """Work of the shear springs in what has been cut off them since t - dt: the mean of their forces at t - dt and t
+    times what was cut off, and what their energy has lost by a change of stiffness; or, of the two ends of the step,
+    only what belongs to the first."""
     if state.spring is None or forces.contacts.spring is None:
         return jnp.zeros((), network.dtype)
     normal, relative = _relative_motion(network, state, state.velocity, state.spin)
     along = normal * relative.dot(normal)
     slip = state.spring + (relative - along) * dt - forces.contacts.spring
-    pull = state.spring + forces.contacts.spring if both_ends else state.spring
-    return 0.5 * (params.shear_stiffness * pull.dot(slip) * network.share).sum()
+    before, now = (law.shear_stiffness for law in _laws_before_and_now(scene, params, network, dt, state))
+    work = before * state.spring.dot(slip)
+    if both_ends:
+        work += now * forces.contacts.spring.dot(slip) + (before - now) * state.spring.dot(forces.contacts.spring)
+    return 0.5 * (work * network.share).sum()
 
 
 def _relative_motion(network: Network, state: State, velocity: Vector, spin: Vector | None) -> tuple[Vector, Vector]:
@@ -187,21 +209,23 @@ def _relative_motion(network: Network, state: State, velocity: Vector, spin: Vec
     return normal, relative
 
 
-def _dashpot_power(params, network, forces: Forces, state: State, velocity, spin, platen_speeds):
+def _dashpot_power(scene: Scene, params, network, forces: Forces, dt, state: State, velocity, spin, platen_speeds):
     """Power that the dashpots take at these velocities: what the forces at t hold beside the springs."""
     normal, relative = _relative_motion(network, state, velocity, spin)
-    pressed = jnp.maximum(geometry(network, state.displacement).overlap, 0.0)
-    elastic = normal * (params.normal_stiffness * pressed)
+    laws, wall_law = contact_laws(scene, params, network)
+    place = geometry(network, state.displacement)
+    law = laws.at(place, None, dt)
+    elastic = normal * (law.normal_stiffness * jnp.maximum(place.overlap, 0.0))
     if forces.contacts.spring is not None:
-        elastic = elastic - forces.contacts.spring * params.shear_stiffness
+        elastic = elastic - forces.contacts.spring * law.shear_stiffness
     power = ((elastic - forces.contacts.force).dot(relative) * network.share).sum()
-    viscosity = 2 * params.damping_ratio * jnp.sqrt(params.platen_stiffness * mass_per_cube(params) * network.radius**3)
     before = _walls(network, state, state.velocity, state.platen_speeds)
     for (gap, closing_before), (_, closing) in zip(
         before, _walls(network, state, velocity, platen_speeds), strict=True
     ):
-        push = wall_force(gap, closing_before, params.platen_stiffness, viscosity)
-        spring = wall_force(gap, closing_before, params.platen_stiffness, None)
+        wall = wall_law.at(gap)
+        push = wall_force(gap, closing_before, *wall)
+        spring = wall_force(gap, closing_before, wall.stiffness, None)
         power += ((push - spring) * closing * network.weight).sum()
     return power
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from axijax.contact import Geometry, contact_friction, geometry
-from axijax.dynamics import Forces, Params, Scene, State, all_forces, next_motion, positions
+from axijax.dynamics import Forces, Params, Scene, State, all_forces, next_motion, positions, secant_stiffness_ratio
 from axijax.membrane import Load, Membrane, lateral_force, membrane_radius
 from axijax.neighbors import Network
 from axijax.sector import radial_distance
@@ -79,10 +79,10 @@ def chatter(scene: Scene, params: Params, network: Network, dt, state: State, fo
     """How far contacts move to and fro from one step to the next, against what their springs hold [-].
 
     -sum(u . u') / sum(s^2) over the touching contacts, u and u' being the slips of this step and of the next, s the
-    slip at the Coulomb limit f kn overlap / ks; likewise for the approach in the normal direction, with the overlap for
-    s. The larger of the two. A mode that is too fast for the time step changes sign at every step, and all that the
-    Coulomb cap leaves of it is this. Slips of a sound run go on as they began: it stays below zero, or within rounding
-    of it. It has no derivative.
+    slip at the Coulomb limit, f times normal force over ks; likewise for the approach in the normal direction, with
+    the overlap for s. The larger of the two. A mode that is too fast for the time step changes sign at every step, and
+    all that the Coulomb cap leaves of it is this. Slips of a sound run go on as they began: it stays below zero, or
+    within rounding of it. It has no derivative.
     """
     params, state, forces, branch, normal = jax.lax.stop_gradient((params, state, forces, branch, normal))
 
@@ -107,7 +107,7 @@ def chatter(scene: Scene, params: Params, network: Network, dt, state: State, fo
     along = reversing(approach * next_approach, overlap)
     if state.spring is None:
         return along
-    limit = contact_friction(params, network) * overlap * (params.normal_stiffness / params.shear_stiffness)
+    limit = contact_friction(params, network) * overlap * secant_stiffness_ratio(scene, params)
     return jnp.maximum(along, reversing(slip.dot(next_slip), limit))
 
 

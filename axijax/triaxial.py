@@ -23,10 +23,12 @@ import numpy as np
 from axijax.dynamics import (
     DEFAULT_STEP,
     SAFE_STEP,
+    ContactLawName,
     Params,
     Scene,
     State,
     check_params,
+    confined_stiffness,
     critical_time_step,
     initial_state,
     make_step,
@@ -37,6 +39,7 @@ from axijax.membrane import Load, Membrane, build_membrane, membrane_load
 from axijax.neighbors import Network, build_network, carry_springs
 from axijax.observe import Observation, observe
 from axijax.packing import Specimen, cut_to_sector
+from axijax.platform import warn_where_batched
 from axijax.sector import Sector, radial_distance
 from axijax.vector import zeros
 from axijax.zone import zone_found_again
@@ -140,11 +143,11 @@ class TriaxialTest:
     sector: order n and boundary, by default the paper's quarter between periodic planes.
     scene: what is modelled.
     params: reference parameters; the time step and the ramp are chosen for these.
-    axial_strain: where the test stops [-].
-    time_step: [T]; None takes 0.6 of the critical one; more than 0.8 of it is refused.
-    record_every: steps between records; the membrane's cells are found again as often.
-    refresh: whether they are found again at all.
-    confine_steps: most steps spent on confinement.
+    axial_strain: where the test stops, as a share of the confined height [-].
+    time_step: length of a step [T]; left out, 0.6 of the critical one; more than 0.8 of it is refused.
+    record_every: steps between records [-].
+    refresh: whether the membrane's cells are found again with every record.
+    confine_steps: most steps spent on confinement [-].
     tolerance: unbalanced force and stress error at which confinement ends [-].
     lateral_load: a constant load in place of the membrane's (see `membrane.Load`).
     dtype: np.float64, or np.float32 (see the README's sharp bits).
@@ -192,7 +195,7 @@ class TriaxialTest:
             raise ValueError(f"time_step = {step!r}: must be positive and finite [T].")
         if not self.allow_unsafe_step:
             _check_step(step, limit)
-        ramp = 8 * cut.height / _wave_speed(self.params, network)
+        ramp = 8 * cut.height / _wave_speed(self.scene, self.params, network)
         speed = 2 * float(self.params.platen_speed)
         duration = self.axial_strain * cut.height / speed + ramp / 2
         prepared = {
@@ -215,26 +218,30 @@ class TriaxialTest:
     def simulate(self, params: Params) -> Curve:
         """The whole test as a pure function of its parameters, for jax.jit, jax.vmap and jax.jvp.
 
+        For many parameter sets see `axijax.batch.simulate_many`: on a CPU, vmap over parameters is slow, and warned of.
         One contact list serves the whole test, which is right up to about 2 % strain. Look at `status` of what comes
         back, or call `raise_for_status`.
         """
+        params = warn_where_batched(params)
         return _simulate(self.scene, self.protocol, self._numbers(self.network, self.membrane), params)
 
     def confine(self, params: Params | None = None) -> tuple[State, Confinement]:
         """The state at the end of confinement, and how well it is balanced."""
         numbers = self._numbers(self.network, self.membrane)
-        return _confine(replace(self.protocol, blocks=0), numbers, self.params if params is None else params)
+        return _confine(
+            self.scene.contact_law, replace(self.protocol, blocks=0), numbers, self.params if params is None else params
+        )
 
     def run(
         self,
         params: Params | None = None,
-        progress: Callable[[float, float], None] | None = None,
+        progress: "Callable[[Progress], None] | None" = None,
         start: "Progress | None" = None,
         checkpoint: Path | None = None,
     ) -> "Run":
         """Run the test to its axial strain and return curve and final state; lists are rebuilt where needed.
 
-        progress: called with the axial strain and the stress ratio reached, about once every 1000 steps.
+        progress: called with where the test stands: once before the first step of the shear, then about every 1000.
         start: go on from here, see `axijax.checkpoint.load_progress`, instead of confining; its parameters are used.
         checkpoint: file to which the progress is written now and then, at the end and at an interruption (Ctrl-C).
 
@@ -249,10 +256,12 @@ class TriaxialTest:
             save_progress(checkpoint, self, now)
         written = time.monotonic()
         try:
+            if progress is not None:
+                progress(now)
             while now.strain < self.axial_strain:
                 now = self._go_on(now)
                 if progress is not None:
-                    progress(now.strain, float(now.records.stress_ratio[-1]))
+                    progress(now)
                 if checkpoint is not None and time.monotonic() - written > CHECKPOINT_SECONDS:
                     save_progress(checkpoint, self, now)
                     written = time.monotonic()
@@ -318,6 +327,17 @@ class Progress(NamedTuple):
         """Axial strain reached [-]."""
         return 1 - float(self.state.platens[1] - self.state.platens[0]) / self.height
 
+    @property
+    def stress_ratio(self) -> float:
+        """Stress ratio at the last record, 1 before the first [-]."""
+        return float(self.records.stress_ratio[-1]) if self.records.stress_ratio.size else 1.0
+
+    @property
+    def unbalanced_force(self) -> float:
+        """Mean resultant over mean contact force at the last record, or at the end of confinement [-]."""
+        last = self.records.unbalanced_force
+        return float(last[-1] if last.size else self.confinement.unbalanced_force)
+
 
 def curve_of(progress: Progress, axial_strain: float) -> "Curve":
     """The curve of what a shear has recorded up to this axial strain."""
@@ -342,6 +362,8 @@ class Run(NamedTuple):
 def raise_for_status(status, curve: Curve | None = None) -> None:
     """Raise SimulationError, naming what went wrong and what to do, unless a curve's status bits are all zero."""
     bits = int(np.bitwise_or.reduce(np.asarray(status).ravel()))
+    if bits & NOT_FINITE:  # of which all others are consequences
+        bits = NOT_FINITE
     if bits:
         reasons = [text for bit, text in REMEDIES.items() if bits & bit]
         raise SimulationError("the test went wrong: " + "; ".join(reasons) + ".", curve)
@@ -399,19 +421,20 @@ def _rebuilt(cut: Specimen, network: Network, membrane: Membrane, state: State):
     return new, surface, state
 
 
-def _wave_speed(params: Params, network: Network):
+def _wave_speed(scene: Scene, params: Params, network: Network):
     """P-wave speed of a close packing with stuck contacts, 2 r sqrt((kn + ks)/m) [L/T]; sets ramps and damping."""
     radius = network.radius.mean()
     mass = params.density * (4 / 3) * np.pi * radius**3
-    return 2 * radius * ((params.normal_stiffness + params.shear_stiffness) / mass) ** 0.5
+    normal, shear = confined_stiffness(scene, params, network)
+    return 2 * radius * ((normal + shear) / mass) ** 0.5
 
 
-@partial(jax.jit, static_argnums=0)
-def _confine(protocol: Protocol, numbers, params: Params) -> tuple[State, Confinement]:
+@partial(jax.jit, static_argnums=(0, 1))
+def _confine(contact_law: ContactLawName, protocol: Protocol, numbers, params: Params) -> tuple[State, Confinement]:
     network, membrane, platens, dt, _, fixed = numbers
-    scene = Scene(rotation=False, friction=False, damping="background")
+    scene = Scene(rotation=False, friction=False, damping="background", contact_law=contact_law)
     # The slowest mode, half a wave along the specimen, is damped critically; the others settle within it.
-    rate = 2 * jnp.pi * _wave_speed(params, network) / (platens[1] - platens[0]).astype(network.dtype)
+    rate = 2 * jnp.pi * _wave_speed(scene, params, network) / (platens[1] - platens[0]).astype(network.dtype)
     params = replace(params, background_damping=rate)
     step = make_step(scene, _servo(network))
 
@@ -533,7 +556,7 @@ def _start_shear(scene: Scene, network: Network, confined: State) -> State:
 @partial(jax.jit, static_argnums=(0, 1))
 def _simulate(scene: Scene, protocol: Protocol, numbers, params: Params) -> Curve:
     network = numbers[0]
-    confined, balance = _confine(protocol, numbers, params)
+    confined, balance = _confine(scene.contact_law, protocol, numbers, params)
     start = _start_shear(scene, network, confined)
     _, seen, status = _shear(scene, protocol, numbers, params, start, _fixed_load(protocol, numbers, start))
     settled = jnp.maximum(balance.unbalanced_force, balance.stress_error) <= protocol.tolerance

@@ -1,0 +1,394 @@
+"""Many triaxial tests at once: parameter sets, specimens, seeds, over the devices of a machine and over hosts.
+
+    members = parameter_grid(test, friction=[0.1, 0.2, 0.3], normal_stiffness=[7.5e8, 1.5e9])
+    result = run_batch(members, folder="sweep")       # run again after an interruption: nothing is computed twice
+    print(result.failures)
+    open_batch("sweep").stress_ratio                  # (member, record)
+
+On a CPU every core takes the next test and runs it by itself (XLA releases Python's lock, so threads run in parallel on
+one CPU device). On a GPU tests of equal shape run together, by `jax.vmap`. Where `jax.distributed` has been initialised,
+the processes share the members out among them, and the results in one folder.
+"""
+
+import itertools
+import os
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from axijax.batch_files import Stored, open_batch, read_member, slug, write_failure, write_member, write_summary
+from axijax.dynamics import Params, check_params, critical_time_step
+from axijax.results import writable_folder
+from axijax.triaxial import RECORDS, Curve, Progress, TriaxialTest, _check_step, _simulate, _warn_of_chatter
+
+__all__ = [
+    "BatchResult", "Member", "Outcome", "open_batch", "parallel", "parameter_grid", "run_batch", "simulate_many",
+]  # fmt: skip
+
+Strategy = Literal["auto", "threads", "vmap"]
+CHUNK = 128  # most tests in one vmap; about 1 MB each for 430 balls
+
+Item, Value = TypeVar("Item"), TypeVar("Value")
+
+
+@dataclass(frozen=True)
+class Member:
+    """One test of a batch.
+
+    name: unique in its batch; also the name of its file.
+    params: the parameters to run with; None takes the test's own.
+    labels: further coordinates in tables and data sets, such as a seed.
+    """
+
+    name: str
+    test: TriaxialTest
+    params: Params | None = None
+    labels: Mapping[str, float | int | str | bool] = field(default_factory=dict)
+
+    @property
+    def parameters(self) -> Params:
+        return self.test.params if self.params is None else self.params
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a member: its curve, or the sentence that says why there is none.
+
+    seconds: spent on it; a vmap's time is divided among its members.
+    resumed: read from the folder, not computed.
+    """
+
+    member: Member
+    curve: Curve | None
+    failure: str | None
+    seconds: float
+    resumed: bool = False
+
+
+@dataclass(frozen=True)
+class BatchResult:
+    """The members of a batch that this process ran or found done, in their order."""
+
+    outcomes: tuple[Outcome, ...]
+
+    @property
+    def curves(self) -> dict[str, Curve]:
+        """The curves of the members that went well, by name."""
+        return {o.member.name: o.curve for o in self.outcomes if o.curve is not None}
+
+    @property
+    def failures(self) -> dict[str, str]:
+        """Why the others have none, by name."""
+        return {o.member.name: o.failure for o in self.outcomes if o.failure is not None}
+
+    def dataset(self):
+        """The curves as an xarray.Dataset with dimensions (member, record), as `open_batch` gives it."""
+        return Stored.dataset([_stored(o) for o in self.outcomes if o.curve is not None])
+
+
+def parameter_grid(test: TriaxialTest, **values: Sequence[float]) -> list[Member]:
+    """Members for all combinations of these values of a test's parameters, the last one running fastest.
+
+    All keep the time step of `test`: build it with the stiffest values that occur.
+
+    Raises ValueError for a name that is no parameter, and for an empty list.
+    """
+    known = [f.name for f in fields(Params)]
+    for name, sequence in values.items():
+        if name not in known:
+            raise ValueError(f"'{name}' is not a parameter of a test; known are {', '.join(known)}.")
+        if np.ndim(sequence) != 1 or not len(sequence):
+            raise ValueError(f"{name} = {sequence!r}: must be a list of at least one number.")
+    sets = [dict(zip(values, map(float, point), strict=True)) for point in itertools.product(*values.values())]
+    return [Member(point_name(point), test, replace(test.params, **point), point) for point in sets]
+
+
+def point_name(point: Mapping[str, object]) -> str:
+    """The name of a point of a grid, such as 'friction=0.1 order=4'."""
+    return " ".join(f"{name}={f'{v:g}' if isinstance(v, float) else v}" for name, v in point.items()) or "test"
+
+
+def run_batch(
+    members: Iterable[Member],
+    folder: Path | str | None = None,
+    progress: Callable[[str, float, float], object] | None = None,
+    finished: Callable[[Outcome], object] | None = None,
+    strategy: Strategy = "auto",
+    workers: int | None = None,
+) -> BatchResult:
+    """Run many tests; a member that fails is reported and the others are kept.
+
+    folder: where results are written as they come, one whole file a member, with a summary.csv; members that are there
+        already are not computed again, failed ones are tried again. Several processes share it.
+    progress: called with name, share of the axial strain done and stress ratio, about once every 1000 steps.
+    finished: called with each Outcome as it comes. Neither is ever called by two threads at once.
+    strategy: "threads", each test by itself on a core; "vmap", tests of equal shape together; "auto" takes threads on
+        a CPU and vmap on anything else.
+    workers: threads; None takes one a core with "threads", and one a device with "vmap".
+
+    Under `jax.distributed`, process p of P takes every P-th member, from the p-th, and returns its own; without a folder
+    the others' results are known to those processes only.
+
+    Raises ValueError for names that are not unique, and for a folder that cannot be written or that holds a member of
+    that name of another test, other parameters or another version.
+    """
+    chosen = list(members)
+    _check_names([member.name for member in chosen])
+    if strategy not in ("auto", "threads", "vmap"):
+        raise ValueError(f"strategy = {strategy!r}: must be 'auto', 'threads' or 'vmap'.")
+    if strategy == "auto":
+        strategy = "threads" if jax.default_backend() == "cpu" else "vmap"
+    store = None if folder is None else writable_folder(Path(folder))
+    mine = chosen[jax.process_index() :: jax.process_count()]
+    lock, stop = threading.Lock(), threading.Event()
+    outcomes: dict[str, Outcome] = {}
+
+    def done(outcome: Outcome) -> None:
+        with lock:
+            outcomes[outcome.member.name] = outcome
+            if store is not None and not outcome.resumed:
+                if outcome.failure is None:
+                    write_member(store, _stored(outcome))
+                else:
+                    write_failure(store, outcome.member.name, outcome.failure)
+            if finished is not None:
+                finished(outcome)
+
+    def tell(name: str, share: float, ratio: float) -> None:
+        if stop.is_set():
+            raise _Stopped
+        if progress is not None:
+            with lock:
+                progress(name, share, ratio)
+
+    todo = []
+    for member in mine:
+        found = None if store is None else read_member(store, _unrun(member))
+        if found is None:
+            todo.append(member)
+        else:
+            done(Outcome(member, found.curve, None, found.seconds, resumed=True))
+    if strategy == "threads":
+        tasks, work, workers = [[member] for member in todo], partial(_each, tell=tell, done=done), workers or _cores()
+        devices = None
+    else:
+        devices = jax.local_devices()
+        tasks, work = _chunks(todo), partial(_together, tell=tell, done=done)
+        workers = workers or len(devices)
+
+    def give_up(_: int, result: object) -> None:
+        if isinstance(result, Exception):  # such as a full disk; a member's own failure does not get here
+            raise result
+
+    parallel(work, tasks, workers, give_up, stop, devices)
+    if store is not None:
+        write_summary(store)
+    return BatchResult(tuple(outcomes[member.name] for member in mine))
+
+
+def parallel(
+    work: Callable[[Item], Value],
+    items: Iterable[Item],
+    workers: int | None = None,
+    finished: Callable[[int, "Value | Exception"], object] | None = None,
+    stop: threading.Event | None = None,
+    devices: Sequence[Any] | None = None,
+) -> list["Value | Exception"]:
+    """`work(item)` for every item, in worker threads; what it returned, or the Exception it raised, in the items' order.
+
+    For work that spends its time in compiled programs, which run outside Python's lock.
+
+    workers: threads; None takes one a core.
+    finished: called with an item's number and result as they come, in the calling thread.
+    stop: set when the batch is given up (Ctrl-C), for work that can stop early; waiting items are dropped then.
+    devices: JAX devices among which the items are dealt; None leaves JAX's default.
+    """
+    waiting = list(items)
+    results: list[Any] = [None] * len(waiting)
+
+    def attempt(number: int):
+        try:
+            if not devices:
+                return number, work(waiting[number])
+            with jax.default_device(devices[number % len(devices)]):
+                return number, work(waiting[number])
+        except Exception as error:
+            return number, error
+
+    with ThreadPoolExecutor(max(1, min(workers or _cores(), len(waiting)))) as pool:
+        futures = [pool.submit(attempt, number) for number in range(len(waiting))]
+        try:
+            for future in as_completed(futures):
+                number, results[number] = future.result()
+                if finished is not None:
+                    finished(number, results[number])
+        except BaseException:
+            if stop is not None:
+                stop.set()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return results
+
+
+def simulate_many(test: TriaxialTest, params: Params) -> Curve:
+    """The curves of K parameter sets, fields with a leading axis K: pure, for jax.jit, jax.jvp and jax.grad.
+
+    Each leaf of `params` is one number, shared by all, or has the leading axis K (friction per ball: (K, N)). One test
+    after another on a CPU, all at once on a GPU; spread over the devices of this process where it has several (a CPU
+    has as many as `jax_num_cpu_devices` says, one by default: `run_batch` needs no more than one to use all cores).
+
+    Look at `status` of what comes back, or call `raise_for_status`. Raises ValueError where the leading axes differ.
+    """
+    leaves, structure = jax.tree.flatten(params)
+    batched = [np.ndim(leaf) > 0 for leaf in leaves]
+    sizes = {np.shape(leaf)[0] for leaf, has in zip(leaves, batched, strict=True) if has}
+    if len(sizes) != 1:
+        wrong = "none has one" if not sizes else f"found {', '.join(map(str, sorted(sizes)))}"
+        raise ValueError(f"params: its fields must be single numbers or have one and the same leading axis; {wrong}.")
+    (size,) = sizes
+    devices = jax.local_devices()[:size]
+    stacked = [jnp.asarray(leaf) for leaf, has in zip(leaves, batched, strict=True) if has]
+    shared = [leaf for leaf, has in zip(leaves, batched, strict=True) if not has]
+
+    def one(mine):
+        rows, rest = iter(mine), iter(shared)
+        return test.simulate(jax.tree.unflatten(structure, [next(rows if has else rest) for has in batched]))
+
+    def many(rows):
+        return jax.lax.map(one, rows) if jax.default_backend() == "cpu" else jax.vmap(one)(rows)
+
+    if len(devices) == 1:
+        return many(stacked)
+    # Every device takes as many; the last ones repeat the first set.
+    short = -size % len(devices)
+    padded = [jnp.concatenate([leaf, jnp.broadcast_to(leaf[:1], (short, *leaf.shape[1:]))]) for leaf in stacked]
+    mesh = jax.sharding.Mesh(np.array(devices), ("test",))
+    axis = jax.sharding.PartitionSpec("test")
+    spread = jax.shard_map(many, mesh=mesh, in_specs=(axis,), out_specs=axis, check_vma=False)
+    return jax.tree.map(lambda values: values[:size], spread(padded))
+
+
+class _Stopped(BaseException):
+    """Raised inside a run when its batch is given up."""
+
+
+def _each(task: Sequence[Member], tell, done) -> None:
+    """Run members one by one, with lists rebuilt where they are worn."""
+    for member in task:
+        started = time.perf_counter()
+        test = member.test
+
+        def advance(now: Progress, member=member) -> None:
+            tell(member.name, min(now.strain / member.test.axial_strain, 1.0), now.stress_ratio)
+
+        curve, failure = None, None
+        try:
+            tell(member.name, 0.0, 1.0)
+            curve = test.run(member.params, progress=advance).curve
+        except Exception as error:
+            failure = str(error) if isinstance(error, ValueError | RuntimeError) else f"{type(error).__name__}: {error}"
+        done(Outcome(member, curve, failure, time.perf_counter() - started))
+
+
+def _together(task: Sequence[Member], tell, done) -> None:
+    """Run members of equal shape in one vmap; those that end with a status, such as a worn list, run by themselves."""
+    started = time.perf_counter()
+    for member in task:
+        tell(member.name, 0.0, 1.0)
+    first = task[0].test
+    try:
+        inputs = [(_numbers(m.test), jax.tree.map(jnp.asarray, m.parameters)) for m in task]
+        same = all(member.test is first for member in task)
+        # A test that all share is not stored once for each of them.
+        numbers = inputs[0][0] if same else _stacked([numbers for numbers, _ in inputs])
+        curves = _many(first.scene, first.protocol, same, numbers, _stacked([params for _, params in inputs]))
+        curves = jax.tree.map(np.asarray, curves)
+    except (ValueError, RuntimeError):  # such as memory: each by itself says what is wrong, or runs
+        return _each(task, tell, done)
+    acceptable = _acceptable()
+    seconds = (time.perf_counter() - started) / len(task)
+    for number, member in enumerate(task):
+        curve = jax.tree.map(lambda values, number=number: values[number], curves)
+        if curve.status or not acceptable(member):
+            _each([member], tell, done)
+            continue
+        wanted = curve.axial_strain <= member.test.axial_strain
+        curve = replace(curve, **{name: getattr(curve, name)[wanted] for name in RECORDS})
+        _warn_of_chatter(curve)
+        tell(member.name, 1.0, float(curve.stress_ratio[-1]))
+        done(Outcome(member, curve, None, seconds))
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def _many(scene, protocol, same: bool, numbers, params):
+    return jax.vmap(partial(_simulate, scene, protocol), in_axes=(None if same else 0, 0))(numbers, params)
+
+
+def _numbers(test: TriaxialTest):
+    return jax.tree.map(jnp.asarray, test._numbers(test.network, test.membrane))
+
+
+def _stacked(trees):
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
+
+
+def _acceptable() -> Callable[[Member], bool]:
+    """Whether a test takes a member's parameters at all (`run` says why not); the critical step is found once for
+    parameters that differ in friction only, on which it does not depend.
+    """
+    limits: dict[Any, float] = {}
+
+    def acceptable(member: Member) -> bool:
+        test, params = member.test, member.parameters
+        try:
+            check_params(params, len(test.cut))
+            if not test.allow_unsafe_step:
+                known = (id(test), *(value for name, value in vars(params).items() if name != "friction"))
+                if known not in limits:
+                    limits[known] = critical_time_step(test.scene, params, test.network)
+                _check_step(test.time_step, limits[known])
+        except ValueError:
+            return False
+        return True
+
+    return acceptable
+
+
+def _chunks(members: Sequence[Member]) -> list[list[Member]]:
+    """Members that one compiled program can run together: same scene, protocol and shapes."""
+    groups: dict[Any, list[Member]] = {}
+    for member in members:
+        leaves, structure = jax.tree.flatten((_numbers(member.test), member.parameters))
+        shapes = tuple((np.shape(leaf), str(jnp.result_type(leaf))) for leaf in leaves)
+        groups.setdefault((member.test.scene, member.test.protocol, structure, shapes), []).append(member)
+    return [group[i : i + CHUNK] for group in groups.values() for i in range(0, len(group), CHUNK)]
+
+
+def _check_names(names: Sequence[str]) -> None:
+    seen: dict[str, str] = {}
+    for name in names:
+        if slug(name) in seen:
+            raise ValueError(f"member '{name}': its name must differ from that of member '{seen[slug(name)]}'.")
+        seen[slug(name)] = name
+
+
+def _unrun(member: Member) -> Stored:
+    return Stored(member.name, member.test, member.parameters, dict(member.labels))
+
+
+def _stored(outcome: Outcome) -> Stored:
+    return replace(_unrun(outcome.member), curve=outcome.curve, seconds=outcome.seconds)
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

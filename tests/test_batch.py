@@ -1,0 +1,334 @@
+"""Batches: equal to single runs, failures kept apart, resumed, shared by two processes; the cache of programs."""
+
+import dataclasses
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import axijax
+from axijax import platform
+from axijax.batch import Member, open_batch, parallel, parameter_grid, run_batch, simulate_many
+from axijax.batch_files import key
+from axijax.cli_batch import load_sweep
+from axijax.triaxial import RECORDS
+
+sys.path.insert(0, str(Path(__file__).parent))
+from batch_process import FRICTION, members, tiny  # noqa: E402
+
+FAILING = "friction=-1"
+
+
+def same(a: axijax.Curve, b: axijax.Curve) -> bool:
+    """Whether two curves are equal to the last bit."""
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in RECORDS)
+
+
+@pytest.fixture(scope="module")
+def singles():
+    """The good members' curves, each from a run of its own."""
+    return {m.name: m.test.run(m.params).curve for m in members() if m.name != FAILING}
+
+
+@pytest.fixture(scope="module")
+def batch(tmp_path_factory):
+    """The members and one of another specimen, in a folder."""
+    folder = tmp_path_factory.mktemp("batch")
+    other = Member("five layers", tiny(5), labels={"layers": 5})
+    return folder, run_batch([*members(), other], folder), other
+
+
+@pytest.fixture()
+def runs(monkeypatch):
+    """The frictions of the runs that are made."""
+    made = []
+    run = axijax.TriaxialTest.run
+
+    def counted(self, params=None, **options):
+        made.append(params.friction)
+        return run(self, params, **options)
+
+    monkeypatch.setattr(axijax.TriaxialTest, "run", counted)
+    return made
+
+
+def test_equals_single_runs_to_the_last_bit(batch, singles):
+    _, result, other = batch
+    assert all(same(result.curves[name], curve) for name, curve in singles.items())
+    assert same(result.curves[other.name], other.test.run().curve)
+    assert not same(singles["friction=0.1"], singles["friction=0.2"])
+
+
+def test_a_failed_member_is_told_and_the_others_are_kept(batch):
+    folder, result, _ = batch
+    assert result.failures == {FAILING: "friction = -1: must be zero or positive."}
+    assert len(result.curves) == len(FRICTION) + 1
+    table = (folder / "summary.csv").read_text().splitlines()
+    assert [line.split(",")[0] for line in table] == [
+        "member", "five layers", "friction=0.1", "friction=0.2", "friction=0.3", FAILING,
+    ]  # fmt: skip
+    assert table[-1].endswith("friction = -1: must be zero or positive.")
+
+
+def test_one_data_set_of_all(batch):
+    folder, result, other = batch
+    data = open_batch(folder)
+    assert set(data.member.values) == set(result.curves)
+    for name, curve in result.curves.items():
+        one = data.sel(member=name)
+        assert np.array_equal(one.stress_ratio.dropna("record"), curve.stress_ratio)
+        assert float(one.peak_ratio) == curve.stress_ratio.max()
+    assert float(data.sel(member="friction=0.2").friction) == 0.2
+    assert float(data.sel(member=other.name).layers) == 5
+    assert np.isnan(data.sel(member="friction=0.2").layers)
+    assert data.sel(member=list(result.curves)).equals(result.dataset())
+
+
+def test_run_again_computes_only_what_is_missing(batch, runs):
+    folder, result, other = batch
+    again = run_batch([*members(), other], folder)
+    assert runs == [-1.0]  # only the failed one is tried again
+    assert all(same(again.curves[name], curve) for name, curve in result.curves.items())
+    assert [o.resumed for o in again.outcomes] == [True, True, True, False, True]
+
+
+def test_a_folder_of_something_else_is_refused(batch):
+    folder, _, other = batch
+    changed = dataclasses.replace(other, params=dataclasses.replace(other.parameters, density=2100.0))
+    with pytest.raises(ValueError, match=r"member 'five layers': .* other parameters .* choose another folder"):
+        run_batch([changed], folder)
+
+
+def test_interrupted_by_hand(tmp_path, runs, singles):
+    def interrupt(outcome):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_batch(members(), tmp_path, finished=interrupt, workers=1)
+    assert set(open_batch(tmp_path).member.values) == {"friction=0.1"}
+    result = run_batch(members(), tmp_path)
+    assert sorted(runs) == [-1.0, *FRICTION]
+    assert all(same(result.curves[name], curve) for name, curve in singles.items())
+
+
+def test_what_is_hashed():
+    test = tiny()
+    one = key(test, test.params)
+    assert one == key(tiny(), dataclasses.replace(test.params, friction=jnp.float64(test.params.friction)))
+    others = [
+        (dataclasses.replace(test, axial_strain=0.0007), test.params),
+        (dataclasses.replace(test, scene=axijax.Scene(rotation=False)), test.params),
+        (dataclasses.replace(test, time_step=0.9 * test.time_step), test.params),
+        (dataclasses.replace(test, sector=axijax.Sector(2)), test.params),
+        (tiny(4), test.params),
+        (test, dataclasses.replace(test.params, friction=np.nextafter(test.params.friction, 1))),
+    ]
+    assert len({one} | {key(*other) for other in others}) == len(others) + 1
+
+
+def test_progress_is_told(singles):
+    told = []
+    run_batch(members()[:2], progress=lambda *now: told.append(now))
+    for name in ("friction=0.1", "friction=0.2"):
+        shares = [share for who, share, _ in told if who == name]
+        assert shares[0] == 0 and shares[-1] == 1 and shares == sorted(shares)
+
+
+def test_all_at_once_equals_one_by_one(singles):
+    result = run_batch(members(), strategy="vmap")
+    assert list(result.failures) == [FAILING]
+    for name, curve in singles.items():
+        for field in RECORDS:
+            np.testing.assert_allclose(getattr(result.curves[name], field), getattr(curve, field), rtol=1e-9, atol=1e-12)
+
+
+def test_simulate_many(singles):
+    test = tiny()
+    curves = simulate_many(test, dataclasses.replace(test.params, friction=jnp.array(FRICTION)))
+    for number, curve in enumerate(singles.values()):
+        ratio = curves.stress_ratio[number][: curve.stress_ratio.size]
+        np.testing.assert_allclose(ratio, curve.stress_ratio, rtol=1e-10)
+    with pytest.raises(ValueError, match="none has one"):
+        simulate_many(test, test.params)
+    with pytest.raises(ValueError, match="found 2, 3"):
+        simulate_many(test, dataclasses.replace(test.params, friction=jnp.ones(3), density=jnp.ones(2)))
+
+
+class TestVmapByAUser:
+    @staticmethod
+    def ratio(friction):
+        test = tiny()
+        return test.simulate(dataclasses.replace(test.params, friction=friction)).stress_ratio
+
+    def test_right_and_warned_of(self, singles):
+        with pytest.warns(UserWarning, match="jax.vmap over the parameters .* simulate_many"):
+            ratios = jax.vmap(self.ratio)(jnp.array(FRICTION))
+        for ratio, curve in zip(ratios, singles.values(), strict=True):
+            np.testing.assert_allclose(ratio[: curve.stress_ratio.size], curve.stress_ratio, rtol=1e-10)
+
+    @pytest.mark.parametrize("wrap", [lambda f: jax.jit(jax.vmap(f)), lambda f: jax.vmap(jax.jit(f))])
+    def test_seen_through_jit(self, wrap):
+        with pytest.warns(UserWarning, match="jax.vmap over the parameters"):
+            jax.eval_shape(wrap(self.ratio), jnp.array(FRICTION))
+
+    def test_seen_through_derivatives_of_the_value(self):
+        with pytest.warns(UserWarning, match="jax.vmap over the parameters"):
+            jax.eval_shape(jax.vmap(lambda f: jax.jvp(self.ratio, (f,), (1.0,))), jnp.array(FRICTION))
+
+    def test_not_where_only_tangents_are_batched(self):
+        def along(direction):
+            return jax.jvp(self.ratio, (0.1,), (direction,))
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            value, tangent = jax.eval_shape(jax.vmap(along, out_axes=(None, 0)), jnp.ones(2))
+        assert tangent.shape == (2, *value.shape)
+
+
+def test_parallel_runs_side_by_side_and_keeps_order():
+    def work(number):
+        time.sleep(0.2)
+        if number == 2:
+            raise ValueError("two")
+        return number
+
+    seen = []
+    started = time.monotonic()
+    results = parallel(work, range(8), workers=8, finished=lambda number, result: seen.append(number))
+    assert time.monotonic() - started < 1.0
+    assert [r for r in results if not isinstance(r, Exception)] == [0, 1, 3, 4, 5, 6, 7]
+    assert str(results[2]) == "two" and sorted(seen) == list(range(8))
+
+
+def test_grid():
+    grid = parameter_grid(tiny(), friction=[0.1, 0.2], density=[2000, 2500])
+    assert [m.name for m in grid] == [
+        "friction=0.1 density=2000", "friction=0.1 density=2500", "friction=0.2 density=2000", "friction=0.2 density=2500",
+    ]  # fmt: skip
+    assert grid[1].params.density == 2500.0 and grid[1].labels == {"friction": 0.1, "density": 2500.0}
+    with pytest.raises(ValueError, match="'frction' is not a parameter of a test; known are friction, normal_"):
+        parameter_grid(tiny(), frction=[0.1])
+    with pytest.raises(ValueError, match="friction = 0.1: must be a list"):
+        parameter_grid(tiny(), friction=0.1)
+    with pytest.raises(ValueError, match=r"member 'friction=0\.1': its name must differ"):
+        run_batch(parameter_grid(tiny(), friction=[0.1, 0.1]))
+
+
+SWEEP = """
+[specimen]
+layers = 3
+half_width = 3
+[sweep]
+parameters.friction = [0.1, 0.2]
+sector.order = [4, 2]
+"""
+
+
+class TestSweepFile:
+    def test_combinations(self, tmp_path):
+        (tmp_path / "sweep.toml").write_text(SWEEP)
+        found = load_sweep(tmp_path / "sweep.toml")
+        assert [(m.parameters.friction, m.test.sector.order) for m in found] == [(0.1, 4), (0.1, 2), (0.2, 4), (0.2, 2)]
+        assert found[1].labels == {"parameters.friction": 0.1, "sector.order": 2}
+
+    @pytest.mark.parametrize(
+        ("text", "sentence"),
+        [
+            ("[sector]\norder = 4", r"has no table \[sweep\]: write \[sweep\] with lists"),
+            ("[sweep]\nparameters.friction = 0.1", r"parameters.friction = 0.1: must be a list"),
+            ("[sweep]\nparameters.frction = [0.1]", r"'parameters.frction' is not a field; did you mean 'friction'"),
+            ("[sweep]\nfriction = [0.1]", r"'friction' is no section"),
+        ],
+    )
+    def test_mistakes(self, tmp_path, text, sentence):
+        (tmp_path / "sweep.toml").write_text(text)
+        with pytest.raises(ValueError, match=sentence):
+            load_sweep(tmp_path / "sweep.toml")
+
+
+def process(cache: Path | str, *arguments) -> subprocess.Popen:
+    environment = {**os.environ, "AXIJAX_CACHE": str(cache), "PYTHONPATH": os.pathsep.join(sys.path)}
+    environment.pop("XLA_FLAGS", None)
+    command = [sys.executable, str(Path(__file__).with_name("batch_process.py")), *map(str, arguments)]
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def answer(started: subprocess.Popen) -> dict:
+    out, err = started.communicate(timeout=300)
+    assert started.returncode == 0, err
+    return json.loads(out)
+
+
+def test_killed_while_writing_then_resumed_without_compiling(tmp_path, singles):
+    cache, folder = tmp_path / "cache", tmp_path / "batch"
+    killed = process(cache, "kill", folder)
+    killed.communicate(timeout=300)
+    assert killed.returncode == -signal.SIGKILL
+    assert len(list((folder / "members").iterdir())) == 2  # one whole, one half written under a hidden name
+    assert list(open_batch(folder).member.values) == ["friction=0.1"]
+    done = answer(process(cache, "resume", folder))
+    assert done["resumed"] == ["friction=0.1"]
+    assert done["computed"] == ["friction=0.2", "friction=0.3", FAILING]
+    assert done["misses"] == 0 and done["hits"] > 3
+    data = open_batch(folder)
+    for name, curve in singles.items():
+        assert np.array_equal(data.stress_ratio.sel(member=name), curve.stress_ratio)
+
+
+def test_two_processes_share_a_batch(tmp_path, singles):
+    with socket.socket() as probe:
+        probe.bind(("localhost", 0))
+        port = probe.getsockname()[1]
+    both = [process("off", "share", tmp_path, port, number) for number in range(2)]
+    first, second = map(answer, both)
+    assert (first["computed"], second["computed"]) == (["friction=0.1", "friction=0.3"], ["friction=0.2", FAILING])
+    data = open_batch(tmp_path)
+    assert list(data.member.values) == list(singles)
+    for name, curve in singles.items():
+        assert np.array_equal(data.stress_ratio.sel(member=name), curve.stress_ratio)
+    assert len((tmp_path / "summary.csv").read_text().splitlines()) == 1 + len(members())
+
+
+class TestCache:
+    def test_programs_with_and_without_the_fast_kernels_are_kept_apart(self, tmp_path):
+        counts = [answer(process(tmp_path, "compile", tmp_path, kind)) for kind in ("plain", "fast", "plain")]
+        assert [count["hits"] > 0 for count in counts] == [False, False, True]
+        assert [count["misses"] > 0 for count in counts] == [True, True, False]
+
+    @pytest.mark.parametrize("word", ["off", "0", "OFF"])
+    def test_switched_off(self, monkeypatch, word):
+        monkeypatch.setenv("AXIJAX_CACHE", word)
+        assert axijax.use_compilation_cache() is None
+        assert not jax.config.jax_compilation_cache_dir
+
+    def test_a_folder_that_cannot_be_written_is_a_warning(self, tmp_path):
+        (tmp_path / "file").touch()
+        with pytest.warns(UserWarning, match="no compilation cache: folder .* AXIJAX_CACHE"):
+            assert axijax.use_compilation_cache(tmp_path / "file") is None
+
+    def test_in_the_users_cache_folder(self, tmp_path, monkeypatch):
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+        monkeypatch.delenv("AXIJAX_CACHE", raising=False)
+        changed = {}
+        monkeypatch.setattr(jax.config, "update", changed.__setitem__)
+        folder = axijax.use_compilation_cache()
+        assert folder is not None and folder.parent == tmp_path / "axijax" and folder.is_dir()
+        assert changed["jax_compilation_cache_dir"] == str(folder)
+
+    def test_the_oldest_programs_go_where_there_are_too_many(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(platform, "CACHE_BYTES", 1000)
+        for number in range(12):
+            (tmp_path / f"{number}-cache").write_bytes(bytes(100))
+            os.utime(tmp_path / f"{number}-cache", (number, number))
+        platform._prune(tmp_path)
+        assert {file.name for file in tmp_path.iterdir()} == {f"{number}-cache" for number in range(8, 12)}
