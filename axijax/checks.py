@@ -126,7 +126,15 @@ def _state_checks(test: TriaxialTest, seen: Snapshot) -> list[Check]:
     ]  # fmt: skip
     if seen.membrane.number.size:
         strip = seen.sector.angle * seen.membrane.radius * (top - bottom)
+        balls = seen.balls
+        inward = seen.confining_stress * balls.membrane_area * (np.hypot(*balls.positions[:2]) + balls.radius)
+        sideways = float(((balls.stress[0, 0] + balls.stress[1, 1]) * volume).sum())
         checks += [
+            _at_most(
+                "membrane against internal stress", abs(sideways / inward.sum() - 1), 0.01,
+                "the balls' horizontal Love-Weber stress, summed over their volumes, is membrane force times its "
+                "distance from the axis in equilibrium",
+            ),
             _at_most(
                 "membrane cells tile the strip", abs(seen.membrane.area.sum() / strip - 1), 1e-4 if single else 1e-9,
                 "the cells' areas add up to the sector's part of the cylinder of radius Rm",

@@ -9,12 +9,12 @@ from functools import partial
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from axijax.contact import contact_friction, geometry
+from axijax.contact import contact_friction, geometry, resultants
 from axijax.dynamics import all_forces, positions
 from axijax.membrane import lateral_force, membrane_load, membrane_radius
-from axijax.platens import sector_plane_force
 from axijax.sector import Sector, plane_normals
 from axijax.triaxial import Progress, TriaxialTest
 from axijax.vector import zeros
@@ -230,27 +230,24 @@ def _mechanics(scene, params, network, membrane, fixed, dt, state):
     if forces.contacts.spring is not None:
         # As in `observe`: the cap is a product of rounded numbers.
         sliding = across.dot(across) >= ((1 - 1e-6) * contact_friction(params, network) * along) ** 2
+    lateral = lateral_force(params.confining_stress, load, place)
     planes = zeros(network.radius.shape, network.dtype)
-    if network.sector.boundary == "rigid":
-        mass = params.density * (4 / 3) * np.pi * network.radius**3
-        viscosity = 2 * params.damping_ratio * (params.platen_stiffness * mass) ** 0.5
-        planes = sector_plane_force(
-            params, network, place, state.velocity, viscosity if scene.damping == "dashpot" else None
-        )
+    if network.sector.boundary == "rigid":  # what the resultant holds beside contacts, platens and membrane
+        planes = forces.resultant - resultants(forces.contacts, network)[0] - lateral
     return {
-        "force": jax.numpy.stack([*force]),
-        "apart": jax.numpy.stack([*branch.apart]),
+        "force": jnp.stack([*force]),
+        "apart": jnp.stack([*branch.apart]),
         "overlap": branch.overlap,
         "sliding": sliding,
-        "push": jax.numpy.stack(forces.platen_push),
-        "platens": jax.numpy.stack([(side * network.weight).sum() for side in forces.platen_push]),
-        "lateral": jax.numpy.stack([*lateral_force(params.confining_stress, load, place)]),
-        "planes": jax.numpy.stack([*planes]),
-        "area": load.lateral if load.lateral.ndim == 1 else jax.numpy.zeros_like(network.radius),
+        "push": jnp.stack(forces.platen_push),
+        "platens": jnp.stack([(side * network.weight).sum() for side in forces.platen_push]),
+        "lateral": jnp.stack([*lateral]),
+        "planes": jnp.stack([*planes]),
+        "area": load.lateral if load.lateral.ndim == 1 else jnp.zeros_like(network.radius),
         "section": load.section,
         "stale": load.stale,
         "membrane_radius": membrane_radius(membrane, place),
-        "resultant": jax.numpy.stack([*forces.resultant]),
+        "resultant": jnp.stack([*forces.resultant]),
     }
 
 

@@ -129,7 +129,7 @@ def test_a_bare_file_of_curves_keeps_the_case(result, folder):
     assert bare.case == result.case and not bare.has_state
     with pytest.raises(ValueError, match="no last state"):
         _ = bare.progress
-    assert [check.name for check in result_checks(bare)] == [check.name for check in result_checks(result)][:-4]
+    assert [check.name for check in result_checks(bare)] == [check.name for check in result_checks(result)][:-5]
 
 
 def test_several_runs_of_one_file(result, tmp_path):
@@ -253,6 +253,21 @@ def test_stress_of_the_balls_is_the_love_weber_sum(moment, forces):
     height = np.ptp(moment.platens.heights)
     assert total[2, 2] == pytest.approx(moment.platens.forces.mean() * height, rel=1e-4)
     assert float(forces[1].unbalanced_force) < 1e-2
+
+
+def test_rigid_planes_take_their_part_in_the_stress():
+    """Confined between rigid planes, which meet at the axis: all inner stress balances platens and membrane, as without
+    them, and the planes push inward, on the balls that touch them."""
+    case = Case.model_validate(CASE | {"sector": {"boundary": "rigid"}})
+    test = case.build()
+    moment = snapshot(test, test._begin(test.params), full=True)
+    balls, (low, high) = moment.balls, moment.platens.heights
+    assert moment.balls.number.size == len(test.cut) and not moment.balls.image.any()
+    xx, yy, zz = (np.sum(balls.stress[a, a] * 4 / 3 * np.pi * balls.radius**3) for a in range(3))
+    assert zz == pytest.approx(moment.platens.forces.mean() * (high - low), rel=1e-6)
+    inward = moment.confining_stress * balls.membrane_area
+    assert xx + yy == pytest.approx(np.sum(inward * (np.hypot(*balls.positions[:2]) + balls.radius)), rel=1e-6)
+    assert np.sum(balls.positions[1] < balls.radius) > 3, "balls press on the planes"
 
 
 def test_images_are_turned_with_all_they_carry(moment):
