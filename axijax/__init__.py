@@ -1,24 +1,30 @@
 """axijax: differentiable discrete element triaxial tests on an axisymmetric sector, in JAX.
 
-Importing this package switches JAX to 64-bit numbers, which a discrete element test needs by default.
+Importing this package switches JAX to 64-bit numbers, which a discrete element test needs by default. JAX itself is
+imported with the first name that is used, so that the command line's help is quick.
 """
 
 import os
+import sys
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 # XLA's own log lines; what goes wrong reaches Python as an exception all the same. Left at jax's setting, every program
 # read from a compilation cache prints two kilobytes of a false alarm (jax issue 38445).
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
-import jax
+if "jax" in sys.modules:
+    sys.modules["jax"].config.update("jax_enable_x64", True)
+else:
+    os.environ["JAX_ENABLE_X64"] = "1"
 
-jax.config.update("jax_enable_x64", True)
-
-from axijax import theory  # noqa: E402
-from axijax.dynamics import Params, Scene  # noqa: E402
-from axijax.packing import Specimen, fcc_cylinder, fcc_octagon  # noqa: E402
-from axijax.platform import fast_cpu_kernels, use_compilation_cache  # noqa: E402
-from axijax.sector import Sector  # noqa: E402
-from axijax.triaxial import Curve, SimulationError, TriaxialTest, raise_for_status  # noqa: E402
+if TYPE_CHECKING:
+    from axijax import theory
+    from axijax.dynamics import Params, Scene
+    from axijax.packing import Specimen, fcc_cylinder, fcc_octagon
+    from axijax.platform import fast_cpu_kernels, use_compilation_cache
+    from axijax.sector import Sector
+    from axijax.triaxial import Curve, SimulationError, TriaxialTest, raise_for_status
 
 __all__ = [
     "Curve",
@@ -35,3 +41,24 @@ __all__ = [
     "theory",
     "use_compilation_cache",
 ]
+
+# The module that each name is in; any other name is that of a module.
+_HOMES = {
+    "dynamics": ("Params", "Scene"),
+    "packing": ("Specimen", "fcc_cylinder", "fcc_octagon"),
+    "platform": ("fast_cpu_kernels", "use_compilation_cache"),
+    "sector": ("Sector",),
+    "triaxial": ("Curve", "SimulationError", "TriaxialTest", "raise_for_status"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"axijax.{module}"), name)
+    try:
+        return import_module(f"axijax.{name}")
+    except ModuleNotFoundError as error:
+        if error.name != f"axijax.{name}":
+            raise
+    raise AttributeError(f"module 'axijax' has no attribute '{name}'")

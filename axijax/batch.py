@@ -28,7 +28,7 @@ import numpy as np
 from axijax.batch_files import Stored, open_batch, read_member, slug, write_failure, write_member, write_summary
 from axijax.dynamics import Params, check_params, critical_time_step
 from axijax.results import writable_folder
-from axijax.triaxial import RECORDS, Curve, TriaxialTest, _check_step, _simulate, _warn_of_chatter
+from axijax.triaxial import RECORDS, Curve, Progress, TriaxialTest, _check_step, _simulate, _warn_of_chatter
 
 __all__ = [
     "BatchResult", "Member", "Outcome", "open_batch", "parallel", "parameter_grid", "run_batch", "simulate_many",
@@ -293,8 +293,8 @@ def _each(task: Sequence[Member], tell, done) -> None:
         started = time.perf_counter()
         test = member.test
 
-        def advance(strain: float, ratio: float, member=member) -> None:
-            tell(member.name, min(strain / member.test.axial_strain, 1.0), ratio)
+        def advance(now: Progress, member=member) -> None:
+            tell(member.name, min(now.strain / member.test.axial_strain, 1.0), now.stress_ratio)
 
         curve, failure = None, None
         try:

@@ -1,7 +1,7 @@
-"""Case files: a triaxial test as TOML, validated field by field.
+"""Case files: a triaxial test as TOML, validated field by field; the same as a Python object.
 
     [specimen]
-    kind = "fcc octagon"      # or "fcc cylinder"
+    kind = "octagon"          # or "fcc", "bcc", "hcp", "sc"
     radius = 20.0
     [sector]
     order = 4
@@ -10,79 +10,147 @@
     [test]
     axial_strain = 0.01
 
+    Case(parameters={"friction": 0.3}).build().run()
+
 Everything left out takes the default, which is the paper's (Cui & O'Sullivan 2005). Units are any consistent set.
+Names, defaults and descriptions of the fields are those of `Sector`, `Scene`, `Params` and `TriaxialTest`, so that they
+exist once.
 """
 
 import difflib
+import inspect
+import re
+import textwrap
 import tomllib
+import types
+from dataclasses import fields
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_serializer, model_validator
 
 from axijax.dynamics import Params, Scene
-from axijax.packing import Specimen, fcc_cylinder, fcc_octagon
+from axijax.packing import Specimen, fcc_cylinder, fcc_octagon, lattice_cylinder
 from axijax.sector import Sector
 from axijax.triaxial import TriaxialTest
+
+# What pydantic is to allow, by field; what is not here is checked by the classes that the fields belong to.
+ALLOWED: dict[str, dict[str, float]] = {
+    "order": {"ge": 1},
+    "friction": {"ge": 0},
+    "normal_stiffness": {"gt": 0},
+    "shear_stiffness": {"gt": 0},
+    "shear_modulus": {"gt": 0},
+    "poisson_ratio": {"ge": 0, "lt": 0.5},
+    "confining_stress": {"gt": 0},
+    "platen_speed": {"gt": 0},
+    "density": {"gt": 0},
+    "damping_ratio": {"ge": 0},
+    "local_damping": {"ge": 0, "lt": 1},
+    "background_damping": {"ge": 0},
+    "axial_strain": {"gt": 0, "lt": 0.5},
+    "time_step": {"gt": 0},
+    "record_every": {"ge": 1},
+    "confine_steps": {"ge": 1},
+    "tolerance": {"gt": 0},
+}
+
+# Fields of a test that are for studies in Python only.
+NOT_IN_FILES = ("allow_unsafe_step",)
+
+# The fields that a kind of specimen takes, and the orders of sector that fit it.
+KINDS: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
+    "octagon": (("radius", "layers", "half_width"), (1, 2, 4)),
+    "fcc": (("radius", "layers", "specimen_radius"), (1, 2, 4)),
+    "bcc": (("radius", "layers", "specimen_radius"), (1, 2, 4)),
+    "hcp": (("radius", "layers", "specimen_radius"), (1, 3)),
+    "sc": (("radius", "layers", "specimen_radius"), (1, 2, 4)),
+}
 
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
+def _section(name: str, source: type) -> Any:
+    """A section with those fields of a dataclass that a file can hold: names, types, defaults, and the descriptions in
+    its docstring."""
+    hints, told = get_type_hints(source), descriptions(source)
+    made: dict[str, Any] = {}
+    for each in fields(source):
+        kind = _plain(hints[each.name])
+        if each.init and kind is not None and each.name not in NOT_IN_FILES:
+            about: Any = {"description": told.get(each.name), **ALLOWED.get(each.name, {})}
+            made[each.name] = (kind, Field(each.default, **about))
+    return create_model(name, __base__=_Section, __doc__=inspect.getdoc(source), **made)
+
+
+def _plain(hint):
+    """What a file holds of a type: plain numbers where the program also takes arrays; None where there is no way."""
+    if get_origin(hint) in (Union, types.UnionType):
+        parts = [part for part in get_args(hint) if part is types.NoneType or _plain(part) is not None]
+        return Union[tuple(parts)] if any(part is not types.NoneType for part in parts) else None  # noqa: UP007
+    return hint if hint in (float, int, bool, str) or get_origin(hint) is Literal else None
+
+
+def descriptions(source: type) -> dict[str, str]:
+    """What a docstring says of each field: lines 'name: text' or 'name, name: text', going on where indented."""
+    told = {}
+    for names, text in re.findall(
+        r"^([a-z_]+(?:, [a-z_]+)*): (.+?)(?=\n\S|\n\n|\Z)", inspect.getdoc(source) or "", re.M | re.S
+    ):
+        told.update({name: " ".join(text.split()).rstrip(".") for name in names.split(", ")})
+    return told
+
+
 class SpecimenCase(_Section):
     """The specimen, a full cylinder from which the sector is cut."""
 
-    kind: Literal["fcc octagon", "fcc cylinder"] = Field("fcc octagon", description="how the balls are packed")
+    kind: Literal["octagon", "fcc", "bcc", "hcp", "sc"] = Field(
+        "octagon", description="packing: FCC of octagonal section (the paper's), or a circular cylinder of a lattice"
+    )
     radius: float = Field(20.0, gt=0, description="ball radius [L]")
-    layers: int = Field(25, ge=1, description="number of [001] layers")
-    half_width: int = Field(9, ge=3, description="octagon: half width in ball radii, odd")
-    specimen_radius: float = Field(200.0, gt=0, description="cylinder: radius of the specimen [L]")
+    layers: int = Field(25, ge=1, description="number of horizontal layers [-]")
+    half_width: int = Field(9, ge=3, description="half width of the octagon in ball radii, odd [-]")
+    specimen_radius: float = Field(200.0, gt=0, description="radius of the cylinder that holds the balls [L]")
+
+    @model_validator(mode="after")
+    def _takes(self) -> "SpecimenCase":
+        taken = KINDS[self.kind][0]
+        for name in self.model_fields_set - {"kind", *taken}:
+            raise ValueError(f"{name} does not belong to kind = '{self.kind}', which takes {', '.join(taken)}")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _taken(self, dump) -> dict[str, Any]:
+        return {name: value for name, value in dump(self).items() if name in ("kind", *KINDS[self.kind][0])}
 
     def build(self) -> Specimen:
-        if self.kind == "fcc octagon":
-            return fcc_octagon(self.radius, self.layers, self.half_width)
-        return fcc_cylinder(self.radius, self.layers, self.specimen_radius)
+        options = {name: getattr(self, name) for name in KINDS[self.kind][0]}
+        if self.kind == "octagon":
+            return fcc_octagon(**options)
+        if self.kind == "fcc":
+            return fcc_cylinder(**options)
+        return lattice_cylinder(self.kind, **options)
 
 
-class SectorCase(_Section):
-    """The sector that is simulated."""
+if TYPE_CHECKING:  # mypy cannot see the fields of classes made while running
 
-    order: int = Field(4, ge=1, description="number n of sectors in the cylinder, 1 for the full one")
-    boundary: Literal["periodic", "rigid"] = Field("periodic", description="sector planes")
+    class _Made(_Section):
+        def __getattr__(self, name: str) -> Any: ...
 
+    class SectorCase(_Made): ...
 
-class SceneCase(_Section):
-    """What is modelled at all."""
+    class SceneCase(_Made): ...
 
-    rotation: bool = Field(True, description="balls may spin")
-    friction: bool = Field(True, description="contacts have friction")
-    damping: Literal["dashpot", "local", "background", "none"] = Field("dashpot", description="damping during shear")
+    class ParametersCase(_Made): ...
 
-
-class ParametersCase(_Section):
-    """Material and loading."""
-
-    friction: float = Field(0.12278, ge=0, description="Coulomb coefficient between balls [-]")
-    normal_stiffness: float = Field(1.5e9, gt=0, description="of a contact [F/L]")
-    shear_stiffness: float = Field(1.5e9, gt=0, description="of a contact [F/L]")
-    confining_stress: float = Field(5.0e4, gt=0, description="s3, compression positive [F/L^2]")
-    platen_speed: float = Field(0.01, gt=0, description="speed of each platen, inward positive [L/T]")
-    density: float = Field(2000.0, gt=0, description="of the balls [M/L^3]")
-    damping_ratio: float = Field(0.05, ge=0, description="of the contact dashpots [-]")
-    local_damping: float = Field(0.7, ge=0, lt=1, description="Cundall's coefficient, with damping = 'local' [-]")
-    background_damping: float = Field(0.5, ge=0, description="rate, with damping = 'background' [1/T]")
-
-
-class TestCase(_Section):
-    """The test and its numerics."""
-
-    __test__ = False  # pytest: not a test
-    axial_strain: float = Field(0.01, gt=0, lt=0.5, description="where the test stops [-]")
-    time_step: float | None = Field(None, gt=0, description="[T]; left out: 0.6 of the critical one")
-    record_every: int = Field(50, ge=1, description="steps between records")
-    refresh: bool = Field(True, description="find the membrane's cells again with every record")
-    tolerance: float = Field(1e-7, gt=0, description="unbalanced force and stress error that end confinement [-]")
+    class TestSection(_Made): ...
+else:
+    SectorCase = _section("SectorCase", Sector)
+    SceneCase = _section("SceneCase", Scene)
+    ParametersCase = _section("ParametersCase", Params)
+    TestSection = _section("TestSection", TriaxialTest)
 
 
 class Case(_Section):
@@ -92,7 +160,7 @@ class Case(_Section):
     sector: SectorCase = SectorCase()
     scene: SceneCase = SceneCase()
     parameters: ParametersCase = ParametersCase()
-    test: TestCase = TestCase()
+    test: TestSection = TestSection()
 
     def build(self) -> TriaxialTest:
         return TriaxialTest(
@@ -103,15 +171,91 @@ class Case(_Section):
             **self.test.model_dump(),
         )
 
+    def with_test(self, **changes) -> "Case":
+        """The same case with other fields in its section [test]."""
+        return self.model_copy(update={"test": self.test.model_copy(update=changes)})
 
-# The fields of every section, by name.
-SECTIONS = {
-    "specimen": SpecimenCase.model_fields,
-    "sector": SectorCase.model_fields,
-    "scene": SceneCase.model_fields,
-    "parameters": ParametersCase.model_fields,
-    "test": TestCase.model_fields,
+
+# The sections of a case: class and heading.
+SECTIONS: dict[str, tuple[type[BaseModel], str]] = {
+    "specimen": (SpecimenCase, "The specimen: a full cylinder, from which the sector is cut."),
+    "sector": (SectorCase, "The sector that is simulated."),
+    "scene": (SceneCase, "What is modelled at all."),
+    "parameters": (ParametersCase, "Material and loading; compression is positive."),
+    "test": (TestSection, "The test and its numerics."),
 }
+
+
+def default_case(kind: str = "octagon") -> Case:
+    """The case in which everything but the kind of specimen is left out, with the largest order of sector that fits.
+
+    Raises ValueError for an unknown kind.
+    """
+    if kind not in KINDS:
+        hint = _nearest(kind, KINDS) or f"must be one of {', '.join(KINDS)}."
+        raise ValueError(f"kind = '{kind}': {hint}")
+    sections: dict[str, Any] = {"specimen": {"kind": kind}}
+    if 4 not in KINDS[kind][1]:
+        sections["sector"] = {"order": max(KINDS[kind][1])}
+    return Case(**sections)
+
+
+def to_toml(case: Case) -> str:
+    """The case as a file: every field that its specimen takes, with unit, default and what is allowed in a comment."""
+    lines = [
+        "# A triaxial test for `axijax run`. Units: any consistent set of length [L], time [T] and mass [M];",
+        "# force [F] = [M L/T^2]. A line left out takes its default.",
+    ]
+    for name, (model, heading) in SECTIONS.items():
+        values = getattr(case, name)
+        lines += ["", f"# {heading}", f"[{name}]"]
+        for field, about in model.model_fields.items():
+            if name == "specimen" and field not in ("kind", *KINDS[case.specimen.kind][0]):
+                continue
+            default = about.default
+            if name == "sector" and field == "order":
+                allowed = f"{_allowed(about)}; this specimen takes {_listed(KINDS[case.specimen.kind][1])}"
+            else:
+                allowed = _allowed(about)
+            told = [about.description, allowed, "" if default is None else f"default {_toml(default)}"]
+            text = "; ".join(part for part in told if part)
+            lines += textwrap.wrap(text, 110, initial_indent="# ", subsequent_indent="#   ")
+            value = getattr(values, field)
+            lines.append(f"# {field} =" if value is None else f"{field} = {_toml(value)}")
+    return "\n".join(lines) + "\n"
+
+
+def _allowed(about) -> str:
+    """What a field may hold, in words."""
+    kind = about.annotation
+    if get_origin(kind) is Literal:
+        choices = [f'"{choice}"' for choice in get_args(kind)]
+        return "" if all(choice in about.description for choice in choices) else "one of " + ", ".join(choices)
+    if kind is bool:
+        return "true or false"
+    signs = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
+    rules = [(sign, getattr(rule, name, None)) for rule in about.metadata for name, sign in signs.items()]
+    limits = [f"{sign} {limit:g}" for sign, limit in rules if limit is not None]
+    return f"{'whole number ' if kind is int else ''}{' and '.join(limits)}".strip()
+
+
+def _listed(numbers) -> str:
+    *most, last = map(str, numbers)
+    return f"{', '.join(most)} or {last}" if most else last
+
+
+def _toml(value) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return re.sub(r"(\.0)?e([-+])0*", lambda m: "e-" if m[2] == "-" else "e", _shortest(value))
+    return f'"{value}"' if isinstance(value, str) else str(value)
+
+
+def _shortest(value: float) -> str:
+    """Digits that read back to the same number; large ones with an exponent."""
+    short = f"{value:.6g}"
+    return short if "e" in short and float(short) == value else repr(value)
 
 
 def load_case(path: Path | str) -> Case:
@@ -133,31 +277,34 @@ def read_toml(path: Path | str) -> dict:
 def make_case(data: dict, source: str) -> Case:
     """A case from what a file called `source` holds. Raises ValueError like `load_case`."""
     try:
-        return Case.model_validate(_whole_numbers_as_floats(data))
+        return Case.model_validate(data)
     except ValidationError as error:
-        raise ValueError(f"case file '{source}': {_sentence(error)}") from None
+        told = "; ".join(map(_sentence, error.errors()))
+        raise ValueError(f"case file '{source}': {told}{'' if told.endswith('?') else '.'}") from None
 
 
-def _whole_numbers_as_floats(data: dict) -> dict:
-    """Let 20 stand for 20.0 where a field is a float; everything else stays as strict as it is."""
-    for section, fields in SECTIONS.items():
-        values = data.get(section)
-        if not isinstance(values, dict):
-            continue
-        for name, value in values.items():
-            wants_float = name in fields and fields[name].annotation in (float, float | None)
-            if wants_float and isinstance(value, int) and not isinstance(value, bool):
-                values[name] = float(value)
-    return data
-
-
-def _sentence(error: ValidationError) -> str:
-    problem = error.errors()[0]
-    where = ".".join(str(part) for part in problem["loc"])
+def _sentence(problem) -> str:
+    where, given = ".".join(str(part) for part in problem["loc"]), problem["input"]
     if problem["type"] == "extra_forbidden":
         *section, name = problem["loc"]
-        known = list(SECTIONS[str(section[0])] if section else SECTIONS)
-        near = difflib.get_close_matches(str(name), known, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}."
-        return f"'{where}' is not a field; {hint}"
-    return f"{where} = {problem['input']!r}: {problem['msg'][0].lower()}{problem['msg'][1:]}."
+        known = list(SECTIONS[str(section[0])][0].model_fields if section else SECTIONS)
+        elsewhere = [f"[{other}]" for other, (model, _) in SECTIONS.items() if name in model.model_fields]
+        near = _nearest(str(name), known)
+        hint = f"it belongs to {' or '.join(elsewhere)}" if elsewhere else near or f"known are {', '.join(known)}"
+        return f"'{where}' is not a {'field' if section else 'section'}; {hint}"
+    if problem["type"] == "value_error":
+        return f"{where}.{problem['ctx']['error']}"
+    if problem["type"] == "model_type":
+        return f"{where} = {given!r}: must be a section, [{where}], with its fields below"
+    told = problem["msg"].replace("Input should be", "must be")
+    for theirs, ours in (("boolean", "true or false"), ("integer", "a whole number"), ("number", "a number")):
+        told = told.replace(f"a valid {theirs}", ours)
+    if problem["type"] == "literal_error":
+        near = _nearest(str(given), re.findall(r"'([^']*)'", problem["ctx"]["expected"]))
+        told += f"; {near}" if near else ""
+    return f"{where} = {str(given).lower() if isinstance(given, bool) else repr(given)}: {told}"
+
+
+def _nearest(name: str, known) -> str:
+    near = difflib.get_close_matches(name, known, n=1)
+    return f"did you mean '{near[0]}'?" if near else ""

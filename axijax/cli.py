@@ -1,12 +1,18 @@
 """The command line. Heavy imports happen inside the commands, so that --help is quick."""
 
+import shlex
 import sys
+import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from axijax.cli_batch import batch
+from axijax.cli_check import check
+from axijax.cli_pictures import plot, report, snapshot
+from axijax.cli_run import new, resume, run
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -21,7 +27,6 @@ def common() -> None:
     """Differentiable discrete element triaxial tests on an axisymmetric sector."""
 
 
-@app.command()
 def table1(
     output: Annotated[Path, typer.Option(help="Folder for the table, the curves and the figures.")] = Path("table1"),
 ) -> None:
@@ -76,7 +81,6 @@ def table1(
     console.print("Written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
 
 
-@app.command()
 def calibrate(
     data: Annotated[Path, typer.Argument(help="Measured curve, CSV with named columns (see calibrate.MeasuredCurve).")],
     fit: Annotated[str, typer.Option(help="Parameters to fit, with commas: friction,kn,ks..")] = "friction",
@@ -94,45 +98,6 @@ def calibrate(
 
     test = (Case() if case is None else load_case(case)).build()
     calibrate_file(data, fit, test, writable_folder(output), check=check)
-
-
-@app.command()
-def run(
-    case: Annotated[Path, typer.Argument(help="Case file (TOML).")],
-    output: Annotated[Path, typer.Option(help="Folder for the curve and its picture.")] = Path("results"),
-) -> None:
-    """Run the triaxial test of a case file; writes curve.nc (with the case), curve.csv and curve.png."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-    from axijax.case import load_case
-    from axijax.results import save_run, writable_folder
-
-    loaded = load_case(case)
-    folder = writable_folder(output)
-    test = loaded.build()
-    console = Console()
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("strain {task.completed:.3f} %  R = {task.fields[ratio]:.4f}"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
-        task = bars.add_task(case.stem, total=100 * test.axial_strain, ratio=1.0)
-        done = test.run(progress=lambda strain, ratio: bars.update(task, completed=100 * strain, ratio=ratio))
-    written = save_run(folder, case.stem, loaded.model_dump_json(), done.curve)
-    peak = done.curve.stress_ratio.argmax()
-    console.print(
-        f"peak stress ratio {done.curve.stress_ratio[peak]:.4f} "
-        f"at {100 * done.curve.axial_strain[peak]:.3f} % axial strain",
-        highlight=False,
-    )
-    console.print("Written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
-
-
-app.command()(batch)
 
 
 def _table(rows):
@@ -167,14 +132,45 @@ def _table(rows):
     return table
 
 
-def main() -> None:
-    """Entry point: a mistake of the user's, or a run that went wrong, ends in one sentence and exit code 1."""
-    from axijax.platform import fast_cpu_kernels, use_compilation_cache
+# In the order of the help: each command with examples.
+COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
+    new: ("axijax new first.toml", "axijax new --kind fcc cylinder.toml"),
+    check: ("axijax check first.toml", "axijax check results/first", "axijax check --json first.toml"),
+    run: ("axijax run first.toml", "axijax run first.toml --output strong --json"),
+    resume: ("axijax resume results/first", "axijax resume results/first --axial-strain 0.03"),
+    plot: ("axijax plot results/first", "axijax plot results/first results/strong --output both.png"),
+    report: ("axijax report results/first", "axijax report results/first --data measured.csv --output first.html"),
+    snapshot: ("axijax snapshot results/first", "axijax snapshot results/first --full"),
+    batch: ("axijax batch sweep.toml", "axijax batch sweep.toml --output strengths --workers 2"),
+    calibrate: ("axijax calibrate measured.csv", "axijax calibrate measured.csv --fit friction,kn --case first.toml"),
+    table1: ("axijax table1", "axijax table1 --output paper"),
+}
+for command, examples in COMMANDS.items():
+    app.command(epilog="\n\n".join(["Examples:", *examples]))(command)
 
-    fast_cpu_kernels()
-    use_compilation_cache()
+
+def main(arguments: list[str] | None = None) -> int:
+    """Entry point: a mistake of the user's, or a run that went wrong, ends in one sentence and an exit code.
+
+    1: something went wrong, or a check failed. 2: the command line itself. 130: interrupted, with the way to go on.
+    """
+    given = sys.argv[1:] if arguments is None else arguments
+    warnings.showwarning = lambda message, *_: print(f"axijax: warning: {message}", file=sys.stderr)
+    if given and "--help" not in given:  # help does without JAX, which takes a second to import
+        from axijax.platform import fast_cpu_kernels, use_compilation_cache
+
+        fast_cpu_kernels()
+        use_compilation_cache()
     try:
-        app()
+        return app(given, standalone_mode=False) or 0
     except (ValueError, RuntimeError, OSError) as error:
         print(f"axijax: {error}", file=sys.stderr)
-        sys.exit(1)
+        return 1
+    except Exception as error:
+        if not hasattr(error, "format_message"):  # not the command line's own kind
+            raise
+        if error.format_message():  # nothing after a bare `axijax`, which shows its help
+            print(
+                f"axijax: {error.format_message().rstrip('.')}; given was: axijax {shlex.join(given)}", file=sys.stderr
+            )
+        return 2

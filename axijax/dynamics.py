@@ -49,10 +49,12 @@ class Params:
 
     Defaults are those of Cui & O'Sullivan (2005), section 4.2, with friction as measured by Rowe (1962).
 
-    friction: Coulomb coefficient between balls [-]; a number, or (N,) one per ball (a contact takes the mean).
+    friction may also be (N,), one per ball: a contact takes the mean.
+
+    friction: Coulomb coefficient between balls [-].
     normal_stiffness, shear_stiffness: of a contact, with contact_law = "linear" [F/L].
-    shear_modulus, poisson_ratio: of the balls' material, with contact_law = "hertz" [F/L^2], [-]; by default those of
-        glass, the stress being in Pa.
+    shear_modulus: of the balls' material, with contact_law = "hertz" [F/L^2]; by default glass, the stress being in Pa.
+    poisson_ratio: of the balls' material, with contact_law = "hertz" [-].
     confining_stress: s3, compression positive [F/L^2].
     platen_speed: speed of each platen during shear, inward positive [L/T].
     density: of the balls [M/L^3].

@@ -1,16 +1,25 @@
-"""Pictures, with matplotlib (imported on first use of this module)."""
+"""Pictures of results and of the paper's figures, with matplotlib (imported on first use of this module)."""
 
-from collections.abc import Mapping
+import difflib
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
 
 import matplotlib
 import numpy as np
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 
-from axijax.results import write_whole
-from axijax.triaxial import Curve, Run, TriaxialTest
+from axijax import theory
+from axijax.results import Result, writable_folder, write_whole
+from axijax.triaxial import Run, TriaxialTest
 
+if TYPE_CHECKING:
+    from axijax.case import Case
+
+# Colours that the colour-blind tell apart (Okabe and Ito 2008); lines beyond them change their style.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+STYLES = ("-", "--", "-.", ":")
 FRICTION_COLOURS = {0.05: "#2a9d8f", 0.12278: "#1d3557", 0.2: "#e9a23b", 0.3: "#c1440e"}
 
 
@@ -57,20 +66,147 @@ def stress_ratio_figure(rows) -> Figure:
     return figure
 
 
-def curve_figure(curves: Mapping[str, Curve]) -> Figure:
-    """Stress ratio and volumetric strain against axial strain, one line a run."""
-    figure = Figure(figsize=(7, 7), layout="constrained")
+class Measured(Protocol):
+    """A measured curve: strains are fractions, compression positive; see `calibrate.MeasuredCurve`."""
+
+    axial_strain: np.ndarray
+    stress_ratio: np.ndarray
+    volumetric_strain: np.ndarray | None
+    source: str
+
+
+def case_of(result: Result) -> "Case | None":
+    """The case of a result, None where it has kept none."""
+    try:
+        return result.case
+    except ValueError:
+        return None
+
+
+def labels(results: Sequence[Result]) -> list[str]:
+    """A name for each of several results: the fields in which their cases differ, or else what they are called."""
+    names = [result.name for result in results]
+    cases = [case_of(result) for result in results]
+    if len(results) > 1 and all(case is not None for case in cases):
+        flat = [
+            {
+                f"{section}.{field}": value
+                for section, fields in case.model_dump().items()
+                for field, value in fields.items()
+            }
+            for case in cases
+            if case is not None
+        ]
+        known = dict.fromkeys(field for fields in flat for field in fields)
+        # The time step that a run has chosen follows from the rest.
+        known.pop("test.time_step", None)
+        differing = [field for field in known if len({repr(fields.get(field)) for fields in flat}) > 1]
+        told = [
+            ", ".join(
+                f"{field.split('.')[1].replace('_', ' ')} {_short(fields[field])}"
+                for field in differing
+                if field in fields
+            )
+            for fields in flat
+        ]
+        if len(set(told)) == len(told) and max(map(len, told)) <= 60:
+            names = told
+    return [
+        name if result.status == "finished" else f"{name} ({result.status})"
+        for name, result in zip(names, results, strict=True)
+    ]
+
+
+def thornton_ratio(case: "Case") -> float | None:
+    """Thornton's stress ratio of the ideal array where the specimen is an FCC one, 2 (1 + f) / (1 - f) [-]."""
+    if case.specimen.kind not in ("octagon", "fcc"):
+        return None
+    return float(theory.fcc_stress_ratio(case.parameters.friction if case.scene.friction else 0.0))
+
+
+def _short(value) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def curve_figure(results: Sequence[Result], data: Measured | None = None) -> Figure:
+    """Stress ratio and volumetric strain against axial strain, one line a run; Thornton's stress ratio where the
+    specimen is an FCC array; measured data as points."""
+    figure = Figure(figsize=(7.5, 7.5), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    for name, curve in curves.items():
-        strain = 100 * np.asarray(curve.axial_strain)
-        upper.plot(strain, curve.stress_ratio, label=name)
-        lower.plot(strain, 100 * np.asarray(curve.volumetric_strain))
+    lines: dict[str, tuple[float, str]] = {}
+    for number, (result, name) in enumerate(zip(results, labels(results), strict=True)):
+        curve, case = result.curve, case_of(result)
+        colour, style = COLOURS[number % len(COLOURS)], STYLES[number // len(COLOURS) % len(STYLES)]
+        strain = 100 * curve.axial_strain.values
+        # Thinner from one to the next, so that runs that coincide still show.
+        width = 1.6 + 1.6 * (len(results) - 1 - number) / max(len(results) - 1, 1)
+        line = {"color": colour, "ls": style, "lw": width}
+        upper.plot(strain, curve.stress_ratio.values, label=name, **line)
+        lower.plot(strain, 100 * curve.volumetric_strain.values, **line)
+        ratio = None if case is None else thornton_ratio(case)
+        if case is not None and ratio is not None:
+            friction = case.parameters.friction if case.scene.friction else 0.0
+            lines.setdefault(f"Thornton (1979), f = {friction:g}", (ratio, colour))
+    end = max(100 * float(result.curve.axial_strain.max()) for result in results)
+    for label, (ratio, colour) in lines.items():
+        upper.plot([0, end], [ratio, ratio], color=colour, lw=1, ls=(0, (6, 3)), label=label)
+    if data is not None:
+        points = {"color": "black", "ls": "none", "marker": "o", "mfc": "none", "ms": 5}
+        upper.plot(100 * data.axial_strain, data.stress_ratio, label=f"measured, {Path(data.source).name}", **points)
+        if data.volumetric_strain is not None:
+            lower.plot(100 * data.axial_strain, 100 * data.volumetric_strain, **points)
     upper.set(ylabel="stress ratio s1/s3 [-]")
     upper.legend(frameon=False)
     lower.set(xlabel="axial strain [%]", ylabel="volumetric strain [%]\n(compression positive)")
     for axes in (upper, lower):
         axes.grid(alpha=0.3)
     return figure
+
+
+def plot_result(
+    results: Sequence[Result], kinds: Sequence[str], output: Path, data: Measured | None = None
+) -> list[Path]:
+    """Draw results as PNG files and return their paths.
+
+    kinds: "curve" (all results in one picture), and of `pictures.KINDS`, one picture a result: "force-network",
+        "fabric-rose", "membrane-cells", "section", "specimen".
+    output: a file where one picture is made; otherwise a folder, made where it is missing.
+    data: measured curve for "curve".
+
+    Raises ValueError for an unknown kind, for several pictures in one file, and for a result without a last state.
+    """
+    from axijax import pictures
+    from axijax.snapshot import snapshot
+
+    kinds = list(dict.fromkeys(kinds))
+    known = ("curve", *pictures.KINDS)
+    for kind in kinds:
+        if kind not in known:
+            near = difflib.get_close_matches(kind, known, n=1, cutoff=0.4)
+            hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}."
+            raise ValueError(f"kind = '{kind}' is no picture; {hint}")
+    count = sum(1 if kind == "curve" else len(results) for kind in kinds)
+    if output.suffix and count > 1:
+        raise ValueError(f"output '{output}': {count} pictures do not fit one file; give a folder.")
+    writable_folder(output.parent if output.suffix else output)
+    paths: list[Path] = []
+
+    def save(figure: Figure, name: str) -> None:
+        paths.append(output if output.suffix else output / f"{name}.png")
+        save_figure(figure, paths[-1])
+
+    if "curve" in kinds:
+        save(curve_figure(results, data), "curve")
+    drawn = [kind for kind in kinds if kind != "curve"]
+    names = [result.name for result in results]
+    for number, result in enumerate(results):
+        if not drawn:
+            break
+        seen = snapshot(result.test, result.progress, full=True)
+        unique = names[number] if names.count(names[number]) == 1 else f"{names[number]}-{number + 1}"
+        for kind in drawn:
+            save(pictures.KINDS[kind](seen), kind if len(results) == 1 else f"{unique}-{kind}")
+    return paths
 
 
 def local_shear(test: TriaxialTest, displacement: np.ndarray) -> np.ndarray:

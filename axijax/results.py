@@ -1,19 +1,32 @@
-"""Results as labelled data: curves to and from NetCDF through xarray, tables to CSV, written whole or not at all."""
+"""Results as labelled data: a run's folder read by one call, curves as NetCDF through xarray, tables as CSV.
+
+    result = open_result("results")     # the folder of a run, or a bare curve.nc
+    result.curve.stress_ratio           # xarray, units in the attributes
+    result.case, result.test, result.progress   # made when they are first asked for
+
+Every file is written whole or not at all.
+"""
 
 import csv
+import json
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from axijax.triaxial import RECORDS, Curve
+from axijax.triaxial import RECORDS, Curve, TriaxialTest, curve_of
 
 if TYPE_CHECKING:
     import xarray
+
+    from axijax.case import Case
+    from axijax.triaxial import Progress
 
 LONG_NAMES = {
     "axial_strain": "axial strain, compression positive",
@@ -27,6 +40,17 @@ LONG_NAMES = {
     "chatter": "motion of the contacts to and fro from step to step, against what their springs hold",
     "membrane_radius": "radius Rm through the middle of the membrane zone",
 }
+UNITS = {name: "L" if name == "membrane_radius" else "1" for name in RECORDS}
+
+# How confinement ended: one value a run.
+CONFINEMENT = {
+    "confinement_unbalanced_force": "mean unbalanced over mean contact force at the end of confinement",
+    "confinement_stress_error": "|s1 - s3| / s3 at the end of confinement",
+    "confinement_steps": "steps taken by confinement",
+}
+
+# How a run can stand; `run.json` says which.
+STATUSES = ("running", "interrupted", "failed", "finished")
 
 
 def curves_dataset(curves: Mapping[str, Curve], labels: Mapping[str, Sequence], attributes: Mapping[str, str]):
@@ -37,14 +61,16 @@ def curves_dataset(curves: Mapping[str, Curve], labels: Mapping[str, Sequence], 
     import xarray
 
     longest = max(np.size(curve.axial_strain) for curve in curves.values())
-    data = {}
+    data: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
     for name in RECORDS:
         table = np.full((len(curves), longest), np.nan)
         for row, curve in zip(table, curves.values(), strict=True):
             values = np.asarray(getattr(curve, name))
             row[: values.size] = values
-        units = "L" if name == "membrane_radius" else "1"
-        data[name] = (("run", "record"), table, {"long_name": LONG_NAMES[name], "units": units})
+        data[name] = (("run", "record"), table, {"long_name": LONG_NAMES[name], "units": UNITS[name]})
+    for name, long_name in CONFINEMENT.items():
+        ends = [getattr(curve.confinement, name.removeprefix("confinement_")) for curve in curves.values()]
+        data[name] = (("run",), np.asarray(ends), {"long_name": long_name, "units": "1"})
     coordinates = {"run": list(curves), **{name: ("run", list(values)) for name, values in labels.items()}}
     return xarray.Dataset(data, coordinates, dict(attributes))
 
@@ -61,19 +87,25 @@ def save_run(folder: Path, name: str, case: str, curve: Curve) -> list[Path]:
     from axijax import plot
 
     attributes = {"title": name, "case": case, "axijax": version("axijax"), "jax": jax.__version__}
-    rows = zip(*(np.asarray(getattr(curve, column)).tolist() for column in RECORDS), strict=True)
     paths = [folder / f"curve.{kind}" for kind in ("nc", "csv", "png")]
     save_dataset(curves_dataset({name: curve}, {}, attributes), paths[0])
-    save_table(paths[1], RECORDS, [dict(zip(RECORDS, row, strict=True)) for row in rows])
-    plot.save_figure(plot.curve_figure({name: curve}), paths[2])
+    heads = [f"{column} [{'-' if UNITS[column] == '1' else UNITS[column]}]" for column in RECORDS]
+    rows = zip(*(np.asarray(getattr(curve, column)).tolist() for column in RECORDS), strict=True)
+    comment = f"axijax {attributes['axijax']}, {name}: compression positive; curve.nc holds the same with the case"
+    save_table(paths[1], heads, [dict(zip(heads, row, strict=True)) for row in rows], comment)
+    plot.save_figure(plot.curve_figure([open_result(paths[0])]), paths[2])
     return paths
 
 
-def save_table(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, object]]) -> None:
-    """Write rows as CSV, whole or not at all; None becomes an empty field."""
+def save_table(
+    path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, object]], comment: str | None = None
+) -> None:
+    """Write rows as CSV, whole or not at all; None becomes an empty field. comment: a first line after a #."""
 
     def write(target: Path) -> None:
         with open(target, "w", newline="") as file:
+            if comment is not None:
+                file.write(f"# {' '.join(comment.split())}\n")
             writer = csv.DictWriter(file, columns, lineterminator="\n")
             writer.writeheader()
             writer.writerows({name: "" if row[name] is None else row[name] for name in columns} for row in rows)
@@ -108,3 +140,156 @@ def writable_folder(path: Path) -> Path:
             f"output folder '{path}' cannot be written ({error.strerror}): choose another with --output."
         ) from None
     return path
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run has left; made by `open_result`.
+
+    path: the folder, or the curve's file.
+    name: of the run.
+    curve: one value a record, in memory; units and long names in the attributes, confinement_* as scalars.
+    status: "running", "interrupted", "failed" or "finished".
+    info: what run.json says; empty without one.
+    """
+
+    path: Path
+    name: str
+    curve: "xarray.Dataset"
+    status: str
+    info: Mapping[str, Any]
+
+    @cached_property
+    def case(self) -> "Case":
+        """The case, every value filled in. Raises ValueError where none was kept, or it is damaged."""
+        from axijax.case import Case, load_case
+
+        if (self.path / "case.toml").is_file():
+            return load_case(self.path / "case.toml")
+        kept = self.curve.attrs.get("case")
+        if kept is None:
+            raise ValueError(f"result '{self.path}' keeps no case, only curves: use the folder that `axijax run` made.")
+        try:
+            return Case.model_validate_json(kept)
+        except ValueError:
+            raise ValueError(
+                f"result '{self.path}': the case in its curve.nc is of another version of axijax; run the test again."
+            ) from None
+
+    @cached_property
+    def test(self) -> TriaxialTest:
+        """The test, built again from the case. Raises ValueError as `case` does."""
+        return self.case.build()
+
+    @property
+    def has_state(self) -> bool:
+        """Whether the last state was kept, so that `progress` can be read."""
+        return (self.path / "checkpoint.npz").is_file()
+
+    @cached_property
+    def progress(self) -> "Progress":
+        """The last state with its contact list, membrane and records. Raises ValueError where there is none."""
+        from axijax.checkpoint import load_progress
+
+        path = self.path / "checkpoint.npz"
+        if not self.has_state:
+            raise ValueError(
+                f"result '{self.path}' holds no last state (checkpoint.npz): only its curves can be shown; run the "
+                "case again to see the balls."
+            )
+        return load_progress(path, self.test)
+
+
+def open_result(path: str | Path) -> Result:
+    """Read the folder of a run, or one run's curve.nc.
+
+    A run that has not finished has the curve up to its last checkpoint, or to where it went wrong.
+
+    Raises ValueError, saying what is the matter, where there is no such result, it is damaged, or it has no curve yet.
+    """
+    results = open_results(path)
+    if len(results) > 1:
+        names = ", ".join(result.name for result in results)
+        raise ValueError(f"result '{path}' holds {len(results)} runs ({names}): read it with open_results.")
+    return results[0]
+
+
+def open_results(path: str | Path) -> list[Result]:
+    """Read the folder of a run or a file of curves, which may hold several runs (table1's curves.nc does).
+
+    Raises ValueError as `open_result` does.
+    """
+    path = Path(path)
+    if path.is_file():
+        return [Result(path, name, curve, "finished", {}) for name, curve in _read_curves(path)]
+    if not path.is_dir():
+        raise ValueError(f"result '{path}' does not exist: give the folder that `axijax run` made, or its curve.nc.")
+    info = _read_info(path)
+    # A run that went wrong keeps its curve, faulty end and all, under another name.
+    kept = [path / name for name in ("curve.nc", "partial_curve.nc") if (path / name).is_file()]
+    if kept:
+        status = info.get("status", "finished" if kept[0].name == "curve.nc" else "failed")
+        return [Result(path, _name(path), curve, status, info) for _, curve in _read_curves(kept[0])]
+    if not info and not (path / "checkpoint.npz").is_file():
+        raise ValueError(
+            f"'{path}' is no result: it holds none of curve.nc, run.json and checkpoint.npz; give the folder that "
+            "`axijax run` made."
+        )
+    status = info.get("status", "interrupted")
+    if not (path / "checkpoint.npz").is_file():
+        raise ValueError(
+            f"result '{path}' is {status} and has neither a curve nor a checkpoint: run the case again"
+            + (f" ({info['message']})." if info.get("message") else ".")
+        )
+    import xarray
+
+    result = Result(path, _name(path), xarray.Dataset(), status, info)
+    progress = result.progress
+    if progress.records.height.size == 0:
+        raise ValueError(
+            f"result '{path}' is {status} and was confined but not sheared, so it has no curve yet: go on with "
+            f"`axijax resume {path}`."
+        )
+    curve = curve_of(progress, result.test.axial_strain)
+    dataset = curves_dataset({result.name: curve}, {}, {}).isel(run=0, drop=True)
+    complete = Result(path, result.name, dataset, status, info)
+    complete.__dict__.update(case=result.case, test=result.test, progress=progress)
+    return [complete]
+
+
+def _name(folder: Path) -> str:
+    return folder.resolve().name
+
+
+def _read_info(folder: Path) -> dict[str, Any]:
+    path = folder / "run.json"
+    if not path.is_file():
+        return {}
+    try:
+        info = json.loads(path.read_text())
+        known = isinstance(info, dict) and info.get("status") in STATUSES
+    except (OSError, ValueError):
+        known = False
+    if not known:
+        raise ValueError(
+            f"result '{folder}': its run.json is damaged or says no status ({', '.join(STATUSES)}); run the case again."
+        )
+    return info
+
+
+def _read_curves(path: Path) -> list[tuple[str, "xarray.Dataset"]]:
+    import xarray
+
+    try:
+        with xarray.open_dataset(path, engine="scipy") as file:
+            curves = file.load()
+        names = [str(name) for name in curves["run"].values]
+        known = all(curves[name].dims == ("run", "record") for name in RECORDS) and curves.sizes["record"] > 0
+    except (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError):
+        known = False
+    if not known:
+        raise ValueError(f"result '{path}' is damaged or no file of curves of axijax (NetCDF): run the case again.")
+    runs = [curves.isel(run=number, drop=True) for number in range(len(names))]
+    return [
+        (name, run.isel(record=np.isfinite(run.axial_strain.values))) for name, run in zip(names, runs, strict=True)
+    ]

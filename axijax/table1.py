@@ -118,7 +118,9 @@ def run_table(
     def work(paper_run: PaperRun) -> Row:
         started = time.perf_counter()
         test = make_test(paper_run)
-        run = test.run(progress=lambda strain, ratio: progress(paper_run, min(strain / test.axial_strain, 1.0), ratio))
+        run = test.run(
+            progress=lambda now: progress(paper_run, min(now.strain / test.axial_strain, 1.0), now.stress_ratio)
+        )
         row = Row(paper_run, test, run, time.perf_counter() - started)
         finished(row)
         return row

@@ -152,11 +152,11 @@ class TriaxialTest:
     sector: order n and boundary, by default the paper's quarter between periodic planes.
     scene: what is modelled.
     params: reference parameters; the time step and the ramp are chosen for these.
-    axial_strain: where the test stops [-].
-    time_step: [T]; None takes 0.6 of the critical one; more than 0.8 of it is refused.
-    record_every: steps between records; the membrane's cells are found again as often.
-    refresh: whether they are found again at all.
-    confine_steps: most steps spent on confinement.
+    axial_strain: where the test stops, as a share of the confined height [-].
+    time_step: length of a step [T]; left out, 0.6 of the critical one; more than 0.8 of it is refused.
+    record_every: steps between records [-].
+    refresh: whether the membrane's cells are found again with every record.
+    confine_steps: most steps spent on confinement [-].
     tolerance: unbalanced force and stress error at which confinement ends [-].
     rebuild_every: records between which `simulate` makes contact list and membrane anew during shear, for large strain
         and for batches; zero keeps the first. `run` looks when they are worn instead.
@@ -259,13 +259,13 @@ class TriaxialTest:
     def run(
         self,
         params: Params | None = None,
-        progress: Callable[[float, float], None] | None = None,
+        progress: "Callable[[Progress], None] | None" = None,
         start: "Progress | None" = None,
         checkpoint: Path | None = None,
     ) -> "Run":
         """Run the test to its axial strain and return curve and final state; lists are rebuilt where needed.
 
-        progress: called with the axial strain and the stress ratio reached, about once every 1000 steps.
+        progress: called with where the test stands: once before the first step of the shear, then about every 1000.
         start: go on from here, see `axijax.checkpoint.load_progress`, instead of confining; its parameters are used.
         checkpoint: file to which the progress is written now and then, at the end and at an interruption (Ctrl-C).
 
@@ -280,10 +280,12 @@ class TriaxialTest:
             save_progress(checkpoint, self, now)
         written = time.monotonic()
         try:
+            if progress is not None:
+                progress(now)
             while now.strain < self.axial_strain:
                 now = self._go_on(now)
                 if progress is not None:
-                    progress(now.strain, float(now.records.stress_ratio[-1]))
+                    progress(now)
                 if checkpoint is not None and time.monotonic() - written > CHECKPOINT_SECONDS:
                     save_progress(checkpoint, self, now)
                     written = time.monotonic()
@@ -291,8 +293,7 @@ class TriaxialTest:
             # Whole segments only: after a failure or an interruption this is the last sound state.
             if checkpoint is not None:
                 save_progress(checkpoint, self, now)
-        wanted = 1 - now.records.height / now.height <= self.axial_strain
-        curve = make_curve(jax.tree.map(lambda values: values[wanted], now.records), now.confinement)
+        curve = curve_of(now, self.axial_strain)
         raise_for_status(curve.status, curve)
         _warn_of_chatter(curve)
         return Run(curve, now.network, now.membrane, now.state)
@@ -355,6 +356,23 @@ class Progress(NamedTuple):
         """Axial strain reached [-]."""
         return 1 - float(self.state.platens[1] - self.state.platens[0]) / self.height
 
+    @property
+    def stress_ratio(self) -> float:
+        """Stress ratio at the last record, 1 before the first [-]."""
+        return float(self.records.stress_ratio[-1]) if self.records.stress_ratio.size else 1.0
+
+    @property
+    def unbalanced_force(self) -> float:
+        """Mean resultant over mean contact force at the last record, or at the end of confinement [-]."""
+        last = self.records.unbalanced_force
+        return float(last[-1] if last.size else self.confinement.unbalanced_force)
+
+
+def curve_of(progress: Progress, axial_strain: float) -> "Curve":
+    """The curve of what a shear has recorded up to this axial strain."""
+    wanted = 1 - progress.records.height / progress.height <= axial_strain
+    return make_curve(jax.tree.map(lambda values: values[wanted], progress.records), progress.confinement)
+
 
 class Run(NamedTuple):
     """What a run leaves: its curve, and the last contact list, membrane and state."""
@@ -373,6 +391,8 @@ class Run(NamedTuple):
 def raise_for_status(status, curve: Curve | None = None) -> None:
     """Raise SimulationError, naming what went wrong and what to do, unless a curve's status bits are all zero."""
     bits = int(np.bitwise_or.reduce(np.asarray(status).ravel()))
+    if bits & NOT_FINITE:  # of which all others are consequences
+        bits = NOT_FINITE
     if bits:
         reasons = [text for bit, text in REMEDIES.items() if bits & bit]
         raise SimulationError("the test went wrong: " + "; ".join(reasons) + ".", curve)

@@ -12,7 +12,7 @@ from calibrate.measured import DataError
 
 CASE = """
 [specimen]
-kind = "fcc octagon"
+kind = "octagon"
 layers = 5
 half_width = 5
 [parameters]

@@ -80,7 +80,7 @@ def test_output_changes_nothing(test_of, unbroken, tmp_path, monkeypatch):
     """Progress shown and a checkpoint after every segment, or neither."""
     monkeypatch.setattr(triaxial, "CHECKPOINT_SECONDS", 0.0)
     seen = []
-    run = test_of(END).run(progress=lambda strain, ratio: seen.append(strain), checkpoint=tmp_path / "shear.npz")
+    run = test_of(END).run(progress=lambda now: seen.append(now.strain), checkpoint=tmp_path / "shear.npz")
     assert len(seen) > 3
     assert_same(run, unbroken[0])
 
@@ -88,8 +88,8 @@ def test_output_changes_nothing(test_of, unbroken, tmp_path, monkeypatch):
 def test_an_interrupted_run_can_go_on(test_of, unbroken, tmp_path):
     path, test = tmp_path / "shear.npz", test_of(END)
 
-    def interrupt(strain, ratio):
-        if strain > STOP:
+    def interrupt(now):
+        if now.strain > STOP:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

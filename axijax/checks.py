@@ -1,0 +1,185 @@
+"""What a finished or unfinished result is checked for: numbers with limits, and what they mean."""
+
+import dataclasses
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from axijax.results import Result
+from axijax.snapshot import Snapshot, snapshot
+from axijax.triaxial import CHATTER, STALE, TriaxialTest
+
+# Axial strain over which the energy ledger is kept, where it is asked for.
+LEDGER_STRAIN = 5e-4
+
+
+class Check(NamedTuple):
+    """One check of a result.
+
+    name: what is checked, for people. value: what was found, a number or a word. limit: what is allowed, a bound from
+    above for a number. passed: whether it is kept. meaning: one sentence on what it tells.
+    """
+
+    name: str
+    value: float | str
+    limit: float | str
+    passed: bool
+    meaning: str
+
+
+def result_checks(result: Result, energy: bool = False) -> list[Check]:
+    """All checks that the parts of a result allow: a bare curve's only, or the last state's too.
+
+    energy: also shear the test anew over the first 0.05 % of axial strain with the energy ledger.
+    """
+    checks = [
+        Check(
+            "status", result.status, "finished", result.status == "finished",
+            "the run has reached its axial strain without a fault",
+        ),
+        *_curve_checks(result),
+    ]  # fmt: skip
+    if result.has_state:
+        checks += _state_checks(result.test, snapshot(result.test, result.progress))
+    if energy:
+        checks.append(_energy_check(result.test))
+    return checks
+
+
+def _at_most(name: str, value, limit: float, meaning: str) -> Check:
+    value = float(value)
+    return Check(name, value, limit, bool(value <= limit), meaning)
+
+
+def _curve_checks(result: Result) -> list[Check]:
+    curve = result.curve
+    peak = int(curve.stress_ratio.values.argmax())
+    at_peak = curve.isel(record=peak)
+    checks = []
+    try:
+        tolerance = result.case.test.tolerance
+    except ValueError:
+        tolerance = 1e-7
+    if "confinement_unbalanced_force" in curve:
+        checks += [
+            _at_most(
+                "unbalanced force after confinement", curve.confinement_unbalanced_force, tolerance,
+                "mean resultant on a ball over the mean contact force: the specimen was in equilibrium",
+            ),
+            _at_most(
+                "stress error after confinement", curve.confinement_stress_error, tolerance,
+                "|s1 - s3| / s3: the stress was isotropic before shear",
+            ),
+        ]  # fmt: skip
+    platen, virial, core = (float(at_peak[name]) for name in ("stress_ratio", "virial_ratio", "core_ratio"))
+    checks += [
+        _at_most(
+            "unbalanced force at the peak", at_peak.unbalanced_force, 0.01,
+            "mean resultant on a ball over the mean contact force: above a hundredth the test is not quasi-static",
+        ),
+        _at_most(
+            "platen against virial stress ratio at the peak", abs(platen / virial - 1), 0.05,
+            f"{platen:.4g} from platen force and radius Rm, {virial:.4g} from forces alone: a wide gap means that Rm "
+            "is not the radius at which the membrane acts",
+        ),
+        _at_most(
+            "chatter at the peak", max(float(at_peak.chatter), 0.0), CHATTER,
+            "contacts moving to and fro from step to step: above the limit the step is too long, the peak wrong",
+        ),
+        _at_most(
+            "chatter of the whole curve", max(float(curve.chatter.max()), 0.0), CHATTER,
+            "the same over all records: above the limit the curve is inexact there",
+        ),
+    ]  # fmt: skip
+    if np.isfinite(core):
+        checks.append(
+            _at_most(
+                "platen against core stress ratio at the peak",
+                abs(platen / core - 1),
+                0.1,
+                f"{platen:.4g} from the platens, {core:.4g} in the inner core: a wide gap means that the boundaries "
+                "(short specimen, rigid sector planes, platens) bear on the result",
+            )
+        )
+    return checks
+
+
+def _state_checks(test: TriaxialTest, seen: Snapshot) -> list[Check]:
+    """Checks of the last state; seen: of the sector alone."""
+    single = np.dtype(test.dtype) == np.float32
+    bottom, top = seen.platens.heights
+    mean = max(seen.platens.forces.mean(), 1e-300)
+    volume = 4 / 3 * np.pi * seen.balls.radius**3 * seen.balls.weight
+    internal = float((seen.balls.stress[2, 2] * volume).sum())
+    checks = [
+        _at_most(
+            "bottom against top platen force", abs(np.diff(seen.platens.forces)[0]) / mean, 0.01,
+            "both platens bear the same force where the test is quasi-static",
+        ),
+        _at_most(
+            "platen against internal stress", abs(internal / (mean * (top - bottom)) - 1), 0.01,
+            "the balls' vertical Love-Weber stress, summed over their volumes, is platen force times height in "
+            "equilibrium: nothing is counted twice or left out",
+        ),
+    ]  # fmt: skip
+    if seen.membrane.number.size:
+        strip = seen.sector.angle * seen.membrane.radius * (top - bottom)
+        balls = seen.balls
+        inward = seen.confining_stress * balls.membrane_area * (np.hypot(*balls.positions[:2]) + balls.radius)
+        sideways = float(((balls.stress[0, 0] + balls.stress[1, 1]) * volume).sum())
+        checks += [
+            _at_most(
+                "membrane against internal stress", abs(sideways / inward.sum() - 1), 0.01,
+                "the balls' horizontal Love-Weber stress, summed over their volumes, is membrane force times its "
+                "distance from the axis in equilibrium",
+            ),
+            _at_most(
+                "membrane cells tile the strip", abs(seen.membrane.area.sum() / strip - 1), 1e-4 if single else 1e-9,
+                "the cells' areas add up to the sector's part of the cylinder of radius Rm",
+            ),
+            _at_most(
+                "membrane cells up to date", seen.membrane.stale, STALE,
+                "share of the strip counted to a wrong cell since the membrane was triangulated",
+            ),
+        ]  # fmt: skip
+    return checks
+
+
+def _energy_check(test: TriaxialTest) -> Check:
+    """Work done against energy stored and lost, over the first part of the shear."""
+    error = _ledger_error(dataclasses.replace(test, axial_strain=min(LEDGER_STRAIN, test.axial_strain)))
+    return _at_most(
+        "energy ledger closes", error, 1e-5,
+        f"work of platens and membrane, less what is stored, lost to friction and to damping, over the platens' work; "
+        f"first {100 * LEDGER_STRAIN:g} % of strain",
+    )  # fmt: skip
+
+
+def _ledger_error(test: TriaxialTest) -> float:
+    """Largest share of the platens' work that is unaccounted for at the end of a shear."""
+    from axijax.energy import energy_balance, make_ledger_step, open_ledger
+    from axijax.triaxial import _fixed_load, _load, _ramp, _start_shear
+
+    confined, _ = test.confine()
+    network, membrane, params, dt = test.network, test.membrane, test.params, test.time_step
+    start = _start_shear(test.scene, network, confined)
+    fixed = _fixed_load(test.protocol, test._numbers(network, membrane), start)
+    step = make_ledger_step(test.scene, _ramp(test.ramp_time))
+    seen = partial(energy_balance, test.scene)
+
+    @jax.jit
+    def shear(state):
+        both = state, open_ledger(network.dtype)
+        first = seen(params, network, _load(membrane, network, state, fixed), dt, *both)
+
+        def block(both, _):
+            load = _load(membrane, network, both[0], fixed)
+            return jax.lax.fori_loop(0, test.record_every, lambda _, b: step(params, network, load, dt, b), both), None
+
+        both, _ = jax.lax.scan(block, both, None, length=test.protocol.blocks)
+        last = seen(params, network, _load(membrane, network, both[0], fixed), dt, *both)
+        return (last.unaccounted - first.unaccounted) / last.platen_work
+
+    return abs(float(shear(start)))

@@ -1,0 +1,233 @@
+"""The commands new, run and resume."""
+
+import json
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from axijax.triaxial import Progress, Run, TriaxialTest
+
+Json = Annotated[bool, typer.Option("--json", help="One JSON object a line on standard output, for programs.")]
+
+
+def new(
+    file: Annotated[Path, typer.Argument(help="Case file to write (TOML).")],
+    kind: Annotated[str, typer.Option(help="Specimen: octagon, fcc, bcc, hcp or sc.")] = "octagon",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file where it exists.")] = False,
+) -> None:
+    """Write a case file in which every field is set to its default, with its unit and what is allowed.
+
+    Change what you like, delete what you do not care for, then `axijax check` and `axijax run` it.
+    """
+    from axijax.case import default_case, to_toml
+    from axijax.results import write_whole
+
+    text = to_toml(default_case(kind))
+    if file.exists() and not overwrite:
+        raise ValueError(f"'{file}' exists: choose another name, or --overwrite.")
+    try:
+        write_whole(file, lambda target: target.write_text(text))
+    except OSError as error:
+        raise ValueError(f"case file '{file}' cannot be written ({error.strerror}): choose another place.") from None
+    typer.echo(f"Written: {file}")
+
+
+def run(
+    case: Annotated[Path, typer.Argument(help="Case file (TOML), see `axijax new`.")],
+    output: Annotated[
+        Path | None, typer.Option(help="Folder for the result; left out: results/ and the name of the case file.")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the result that the folder holds.")] = False,
+    snapshots: Annotated[
+        int, typer.Option(min=0, help="Snapshots for ParaView, evenly over the shear (1000 steps apart at least).")
+    ] = 0,
+    as_json: Json = False,
+) -> None:
+    """Run the triaxial test of a case file into a folder.
+
+    The folder gets the case as it was run, run.json (versions, times, status), the curve as curve.nc, curve.csv and
+    curve.png, and checkpoint.npz. Ctrl-C stops with a checkpoint, from which `axijax resume` goes on.
+    """
+    from axijax.case import load_case
+    from axijax.runs import run_case
+
+    loaded = load_case(case)
+    folder = Path("results") / case.stem if output is None else output
+    with _live(folder, as_json) as live:
+        command = ["axijax", *sys.argv[1:]]
+        done = run_case(loaded, folder, case.stem, live.tell, overwrite=overwrite, snapshots=snapshots, command=command)
+        live.finished(done)
+
+
+def resume(
+    result: Annotated[Path, typer.Argument(help="Folder of an interrupted or finished run.")],
+    axial_strain: Annotated[
+        float | None, typer.Option(help="Go on to this axial strain [-] instead of the case's.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Go on with a run from its checkpoint: the result is that of a run that was never stopped, to the last bit."""
+    from axijax import runs
+
+    if axial_strain is not None and not 0 < axial_strain < 0.5:
+        raise ValueError(f"--axial-strain = {axial_strain:g}: must lie between 0 and 0.5.")
+    with _live(result, as_json) as live:
+        live.finished(runs.resume(result, live.tell, axial_strain))
+
+
+@contextmanager
+def _live(folder: Path, as_json: bool) -> "Iterator[_Live]":
+    from axijax.runs import Interrupted
+
+    kind = _JsonLines if as_json else _LiveLine if sys.stdout.isatty() else _PlainLines
+    try:
+        with kind(folder) as live:
+            yield live
+    except Interrupted as stop:
+        print(f"axijax: {stop}", file=sys.stderr)
+        raise typer.Exit(130) from None
+
+
+class _Live:
+    """What a run says of itself while it goes on; a context for the time of the run."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.started = time.perf_counter()
+        self.marks: list[tuple[float, float, int]] = []  # time, strain, records
+
+    def __enter__(self) -> "_Live":
+        return self
+
+    def __exit__(self, kind, error, trace) -> None:
+        pass
+
+    def tell(self, test: "TriaxialTest", now: "Progress | None") -> None:
+        """Take note of where a run stands, and show it."""
+        if now is None:
+            return self.show("confining", f"compiling and confining {len(test.cut)} balls")
+        self.marks.append((time.perf_counter(), now.strain, now.records.height.size))
+        if len(self.marks) == 1:
+            balance = now.confinement
+            found = f"{int(balance.steps)} steps to an unbalanced force of {float(balance.unbalanced_force):.1e}"
+            self.show("confined", f"confined in {found}; shearing to {100 * test.axial_strain:g} %")
+        rate, left = self.speed(test)
+        self.advance(test, now, rate, left)
+
+    def speed(self, test: "TriaxialTest") -> tuple[float | None, float | None]:
+        """Ball-steps a second and seconds left, from the last stretches; the first one, which compiles, left out."""
+        marks = self.marks[1:][-20:]
+        if len(marks) < 2:
+            return None, None
+        (start, strain, records), (end, reached, more) = marks[0], marks[-1]
+        rate = (more - records) * test.record_every * len(test.cut) / (end - start)
+        left = max(test.axial_strain - reached, 0.0) * (end - start) / (reached - strain) if reached > strain else None
+        return rate, left
+
+    def show(self, event: str, text: str) -> None:
+        """One thing that happened once."""
+
+    def advance(self, test: "TriaxialTest", now: "Progress", rate: float | None, left: float | None) -> None:
+        """Where the shear stands."""
+
+    def finished(self, run: "Run") -> None:
+        """The last word."""
+        peak = run.curve.stress_ratio.argmax()
+        self.show(
+            "finished",
+            f"peak stress ratio {run.curve.stress_ratio[peak]:.4f} at {100 * run.curve.axial_strain[peak]:.3f} % axial "
+            f"strain; {time.perf_counter() - self.started:.1f} s; result in {self.folder}",
+        )
+
+
+class _PlainLines(_Live):
+    """A line for each thing that happened, no more: for logs and pipes."""
+
+    def show(self, event: str, text: str) -> None:
+        print(text, flush=True)
+
+
+class _LiveLine(_Live):
+    """One line of a terminal that is written again and again."""
+
+    def __init__(self, folder: Path) -> None:
+        from rich.console import Console
+        from rich.live import Live
+
+        super().__init__(folder)
+        self.live = Live(console=Console(highlight=False), refresh_per_second=8, transient=True)
+
+    def __enter__(self) -> "_Live":
+        self.live.start()
+        return self
+
+    def __exit__(self, kind, error, trace) -> None:
+        self.live.stop()
+
+    def show(self, event: str, text: str) -> None:
+        from rich.spinner import Spinner
+
+        if event == "confining":
+            self.live.update(Spinner("dots", text + " .."))
+        else:
+            self.live.console.print(text, highlight=False, soft_wrap=True)
+
+    def advance(self, test: "TriaxialTest", now: "Progress", rate: float | None, left: float | None) -> None:
+        from rich.progress_bar import ProgressBar
+        from rich.table import Table
+
+        line = Table.grid(padding=(0, 2, 0, 0))
+        cells = [
+            "shearing" if rate else "compiling",
+            ProgressBar(test.axial_strain, min(now.strain, test.axial_strain), width=16),
+            f"strain {100 * now.strain:.3f} %",
+            f"s1/s3 {now.stress_ratio:.4f}",
+            f"unbalanced {now.unbalanced_force:.1e}",
+            f"{rate / 1e6:.2f} M ball-steps/s" if rate else "",
+            f"{left // 60:.0f}:{left % 60:02.0f} left" if left is not None else "",
+        ]
+        line.add_row(*cells)
+        self.live.update(line)
+
+
+class _JsonLines(_Live):
+    """One JSON object a line."""
+
+    def say(self, **values) -> None:
+        print(json.dumps({"seconds": round(time.perf_counter() - self.started, 3), **values}), flush=True)
+
+    def show(self, event: str, text: str) -> None:
+        if event != "finished":
+            self.say(event=event)
+
+    def advance(self, test: "TriaxialTest", now: "Progress", rate: float | None, left: float | None) -> None:
+        self.say(
+            event="progress",
+            stage="shearing",
+            axial_strain=now.strain,
+            stress_ratio=now.stress_ratio,
+            unbalanced_force=now.unbalanced_force,
+            steps=now.records.height.size * test.record_every,
+            ball_steps_per_second=rate and round(rate),
+            seconds_left=left and round(left, 1),
+        )
+
+    def finished(self, run: "Run") -> None:
+        peak = int(run.curve.stress_ratio.argmax())
+        self.say(
+            event="finished",
+            result=str(self.folder),
+            peak_stress_ratio=float(run.curve.stress_ratio[peak]),
+            axial_strain_at_peak=float(run.curve.axial_strain[peak]),
+        )
+
+    def __exit__(self, kind, error, trace) -> None:
+        if error is not None:
+            stopped = "interrupted" if kind.__name__ == "Interrupted" else "failed"
+            self.say(event=stopped, message=str(error))

@@ -1,0 +1,315 @@
+"""Files, fields, values, damaged results that make no sense: one sentence, a non-zero exit code, nothing half-written.
+
+With AXIJAX_BAD_INPUTS=FILE the table of what was tried and what it was told is written to FILE (Markdown).
+"""
+
+import fcntl
+import json
+import os
+import shutil
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_in_process import SMALL, axijax, write
+
+TOLD: dict[str, tuple[str, int]] = {}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A finished result, to be copied and damaged."""
+    folder = tmp_path_factory.mktemp("finished")
+    assert axijax("run", write(folder / "small.toml"), "--output", folder / "small").code == 0
+    return folder / "small"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def table():
+    yield
+    if "AXIJAX_BAD_INPUTS" in os.environ:
+        rows = [f"| {what} | {message.replace('|', '/')} | {code} |" for what, (message, code) in TOLD.items()]
+        text = ["| input | message | exit code |", "|---|---|---|", *rows]
+        Path(os.environ["AXIJAX_BAD_INPUTS"]).write_text("\n".join(text) + "\n")
+
+
+def run(text, *options):
+    """Run a case file with this text."""
+
+    def arguments(folder, _):
+        return "run", write(folder / "case.toml", text), "--output", folder / "out", *options
+
+    return arguments
+
+
+def small(*changes):
+    """The small case with some lines changed."""
+    text = SMALL
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    return run(text)
+
+
+def on_a_copy(damage, *command):
+    """A command on a copy of a finished result that was damaged."""
+
+    def arguments(folder, finished):
+        shutil.copytree(finished, folder / "out")
+        damage(folder / "out")
+        return *command, folder / "out"
+
+    return arguments
+
+
+def run_into(make):
+    """Run the small case into a folder that is not as it should be."""
+
+    def arguments(folder, finished):
+        make(folder / "out", finished)
+        return "run", write(folder / "case.toml"), "--output", folder / "out"
+
+    return arguments
+
+
+def status(value):
+    """Let run.json say another status."""
+
+    def change(folder):
+        path = folder / "run.json"
+        path.write_text(json.dumps({**json.loads(path.read_text()), "status": value, "message": "it went wrong"}))
+
+    return change
+
+
+def edited(name, old, new):
+    def change(folder):
+        text = (folder / name).read_text()
+        assert old in text
+        (folder / name).write_text(text.replace(old, new))
+
+    return change
+
+
+def cut_short(name):
+    return lambda folder: (folder / name).write_bytes((folder / name).read_bytes()[:300])
+
+
+def without(name):
+    return lambda folder: (folder / name).unlink()
+
+
+def nothing(folder):
+    pass
+
+
+# What is given; how; the words that the sentence must hold. Exit code 1, or 2 for the command line itself.
+CASES = {
+    # Case files.
+    "case file that is not there": (
+        lambda folder, _: ("run", folder / "no.toml"),
+        ["no.toml", "cannot be read", "No such"],
+    ),
+    "folder for a case file": (lambda folder, _: ("run", folder), ["cannot be read", "directory"]),
+    "picture for a case file": (
+        lambda folder, _: ((folder / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n\xff\x00"), "run", folder / "a.png")[1:],
+        ["a.png", "not valid TOML"],
+    ),
+    "[sector without its bracket": (run("[sector\norder = 4"), ["not valid TOML", "line 1"]),
+    "one field twice": (run("[sector]\norder = 4\norder = 2"), ["not valid TOML", "overwrite"]),
+    "parameters.fricton": (run("[parameters]\nfricton = 0.1"), ["parameters.fricton", "did you mean 'friction'"]),
+    "section [parameter]": (run("[parameter]\nfriction = 0.1"), ["'parameter'", "did you mean 'parameters'"]),
+    "friction in [test]": (run("[test]\nfriction = 0.1"), ["test.friction", "[scene] or [parameters]"]),
+    "parameters.gravity": (run("[parameters]\ngravity = 9.81"), ["parameters.gravity", "known are friction, "]),
+    "sector = 4": (run("sector = 4"), ["sector = 4", "[sector]"]),
+    "parameters.friction = -0.1": (run("[parameters]\nfriction = -0.1"), ["-0.1", "greater than or equal to 0"]),
+    "parameters.friction = nan": (run("[parameters]\nfriction = nan"), ["friction = nan", "finite"]),
+    "parameters.friction = 'much'": (run("[parameters]\nfriction = 'much'"), ["'much'", "number"]),
+    "parameters.friction = true": (run("[parameters]\nfriction = true"), ["friction = true", "number"]),
+    "parameters.friction = [0.1, 0.2]": (run("[parameters]\nfriction = [0.1, 0.2]"), ["[0.1, 0.2]", "number"]),
+    "parameters.normal_stiffness = 0": (run("[parameters]\nnormal_stiffness = 0"), ["= 0", "greater than 0"]),
+    "parameters.density = inf": (run("[parameters]\ndensity = inf"), ["density = inf", "finite"]),
+    "parameters.platen_speed = -0.01": (run("[parameters]\nplaten_speed = -0.01"), ["-0.01", "greater than 0"]),
+    "parameters.local_damping = 1": (run("[parameters]\nlocal_damping = 1"), ["local_damping", "less than 1"]),
+    "parameters.poisson_ratio = 0.5": (run("[parameters]\npoisson_ratio = 0.5"), ["poisson_ratio", "less than 0.5"]),
+    "scene.damping = 'viscous'": (run("[scene]\ndamping = 'viscous'"), ["'viscous'", "'dashpot'"]),
+    "scene.rotation = 1": (run("[scene]\nrotation = 1"), ["rotation = 1", "true or false"]),
+    "sector.order = 0": (run("[sector]\norder = 0"), ["order = 0", "greater than or equal to 1"]),
+    "sector.order = 2.5": (run("[sector]\norder = 2.5"), ["order = 2.5", "whole number"]),
+    "sector.boundary = 'periodical'": (run("[sector]\nboundary = 'periodical'"), ["did you mean 'periodic'"]),
+    "specimen.kind = 'octogon'": (run("[specimen]\nkind = 'octogon'"), ["'octogon'", "did you mean 'octagon'"]),
+    "half_width of a cylinder": (
+        run("[specimen]\nkind = 'fcc'\nhalf_width = 9"),
+        ["half_width", "'fcc'", "specimen_radius"],
+    ),
+    "test.axial_strain = 70": (run("[test]\naxial_strain = 70"), ["axial_strain = 70", "less than 0.5"]),
+    "two mistakes at once": (
+        run("[sector]\norder = 0\n[test]\naxial_strain = 2"),
+        ["sector.order = 0", "test.axial_strain = 2"],
+    ),
+    # Fields that are right alone and wrong together; physics.
+    "a third of the FCC octagon": (run("[sector]\norder = 3"), ["order = 3", "not the same after a turn", "1, 2 or 4"]),
+    "rigid planes of a half": (run("[sector]\norder = 2\nboundary = 'rigid'"), ["order = 2", "must be >= 3"]),
+    "rigid planes that nothing fits between": (
+        run("[sector]\norder = 40\nboundary = 'rigid'"),
+        ["order = 40", "no ball"],
+    ),
+    "specimen.half_width = 4": (run("[specimen]\nhalf_width = 4"), ["half_width = 4", "odd"]),
+    "cylinder thinner than its balls": (
+        run("[specimen]\nkind = 'fcc'\nspecimen_radius = 30"),
+        ["specimen_radius = 30", "60"],
+    ),
+    "time step past the critical one": (run("[test]\ntime_step = 0.06"), ["time_step = 0.06", "critical time step"]),
+    "confinement in 50 steps": (
+        small(("[test]", "[test]\nconfine_steps = 50")),
+        ["confinement did not reach", "raise confine_steps"],
+    ),
+    "platens that cross the specimen in two seconds": (
+        small(("platen_speed = 0.01", "platen_speed = 25.0")),
+        ["no longer finite", "lower time_step"],
+    ),
+    # Where a result is to go.
+    "output that is a file": (
+        run_into(lambda out, _: out.write_text("mine")),
+        ["out'", "cannot be written", "--output"],
+    ),
+    "output inside a file": (
+        lambda folder, _: ("run", write(folder / "case.toml"), "--output", folder / "case.toml" / "out"),
+        ["cannot be written", "--output"],
+    ),
+    "output where nobody may write": (
+        lambda folder, _: ("run", write(folder / "case.toml"), "--output", "/proc/out"),
+        ["/proc/out", "cannot be written"],
+    ),
+    "output that holds a finished result": (
+        run_into(lambda out, finished: shutil.copytree(finished, out)),
+        ["holds a finished result", "--overwrite"],
+    ),
+    "output that holds an interrupted run": (
+        run_into(lambda out, finished: status("interrupted")(Path(shutil.copytree(finished, out)))),
+        ["unfinished run", "axijax resume"],
+    ),
+    "output that holds a curve of another program": (
+        run_into(lambda out, _: (out.mkdir(), (out / "curve.csv").write_text("mine"))),
+        ["holds curve.csv", "--overwrite"],
+    ),
+    # Going on.
+    "resume what is not there": (lambda folder, _: ("resume", folder / "none"), ["no result", "run.json"]),
+    "resume an empty folder": (lambda folder, _: ("resume", folder), ["no result", "run.json"]),
+    "resume with half a run.json": (on_a_copy(cut_short("run.json"), "resume"), ["run.json is damaged"]),
+    "resume with a list for run.json": (
+        on_a_copy(lambda out: (out / "run.json").write_text("[1]"), "resume"),
+        ["run.json is damaged"],
+    ),
+    "resume without its case": (on_a_copy(without("case.toml"), "resume"), ["case.toml", "cannot be read"]),
+    "resume what is finished": (on_a_copy(nothing, "resume"), ["is finished", "--axial-strain"]),
+    "resume to less than there is": (
+        on_a_copy(nothing, "resume", "--axial-strain", "0.005"),
+        ["is finished at axial_strain = 0.012", "larger"],
+    ),
+    "resume to 80 % strain": (on_a_copy(nothing, "resume", "--axial-strain", "0.8"), ["0.8", "between 0 and 0.5"]),
+    "resume what failed": (on_a_copy(status("failed"), "resume"), ["failed (it went wrong)", "would again"]),
+    "resume without a checkpoint": (
+        on_a_copy(without("checkpoint.npz"), "resume", "--axial-strain", "0.02"),
+        ["checkpoint.npz", "run the case again"],
+    ),
+    "resume with half a checkpoint": (
+        on_a_copy(cut_short("checkpoint.npz"), "resume", "--axial-strain", "0.02"),
+        ["damaged or no checkpoint"],
+    ),
+    "resume with friction changed": (
+        on_a_copy(edited("case.toml", "\nfriction = 0.12278", "\nfriction = 0.2"), "resume", "--axial-strain", "0.02"),
+        ["parameters.friction = 0.2", "0.12278"],
+    ),
+    "resume with the specimen changed": (
+        on_a_copy(edited("case.toml", "layers = 5", "layers = 7"), "resume", "--axial-strain", "0.02"),
+        ["of another test", "specimen"],
+    ),
+    # Results.
+    "check half a curve": (on_a_copy(cut_short("curve.nc"), "check"), ["curve.nc", "damaged"]),
+    "check half a run.json": (on_a_copy(cut_short("run.json"), "check"), ["run.json", "damaged"]),
+    "check another case's checkpoint": (
+        on_a_copy(edited("case.toml", "layers = 5", "layers = 7"), "check"),
+        ["of another test", "specimen"],
+    ),
+    "check what is not there": (lambda folder, _: ("check", folder / "none"), ["none", "cannot be read"]),
+    # New case files, measured data, the command line.
+    "new of sand": (lambda folder, _: ("new", "--kind", "sand", folder / "a.toml"), ["'sand'", "octagon, fcc"]),
+    "new where a file is": (lambda folder, _: ("new", write(folder / "a.toml")), ["a.toml' exists", "--overwrite"]),
+    "new in no folder": (lambda folder, _: ("new", folder / "none" / "a.toml"), ["cannot be written", "another place"]),
+    "calibrate without data": (lambda folder, _: ("calibrate", folder / "no.csv"), ["no.csv"]),
+    "axijax rnu": (lambda folder, _: ("rnu",), ["No such command 'rnu'", "run"]),
+    "axijax run": (lambda folder, _: ("run",), ["Missing argument"]),
+    "--outptu": (lambda folder, _: ("run", folder / "a.toml", "--outptu", "out"), ["--outptu", "--output"]),
+    "--axial-strain much": (lambda folder, _: ("resume", folder, "--axial-strain", "much"), ["--axial-strain", "much"]),
+    "--snapshots -1": (lambda folder, _: ("run", folder / "a.toml", "--snapshots", "-1"), ["--snapshots", "-1"]),
+}
+USAGE = ("axijax rnu", "axijax run", "--outptu", "--axial-strain much", "--snapshots -1")
+
+
+def told(called, folder):
+    """The sentence without the folders of this test run."""
+    return called.err.strip().replace(f"{folder}/", "").replace(str(folder), ".").removeprefix("axijax: ")
+
+
+def assert_nothing_looks_whole(folder, before):
+    """What is new beside a run that did not finish: no curve, no leftovers of writing."""
+    for path in set(folder.rglob("*")) - before:
+        assert not path.name.startswith("."), f"{path} was left over"
+        if path.name.startswith("curve."):
+            assert json.loads((path.parent / "run.json").read_text())["status"] == "finished", path
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_one_sentence_and_nothing_half_written(case, tmp_path, finished, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    make, words = CASES[case]
+    arguments = make(tmp_path, finished)
+    before = set(tmp_path.rglob("*"))
+    old = {path: path.read_bytes() for path in before if path.is_file()}
+    called = axijax(*arguments)
+    message = called.err.strip()
+    shown = told(called, tmp_path)
+    TOLD[case] = shown, called.code
+    assert called.code == (2 if case in USAGE else 1)
+    for word in words:
+        assert word in message
+    assert message.startswith("axijax: ") and "Traceback" not in message
+    assert "\n" not in message and len(shown) < 360, "one sentence"
+    assert_nothing_looks_whole(tmp_path, before)
+    assert all(path.read_bytes() == content for path, content in old.items()), "what was there is as it was"
+
+
+@contextmanager
+def held(folder):
+    handle = os.open(folder, os.O_RDONLY)
+    fcntl.flock(handle, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        os.close(handle)
+
+
+def test_a_folder_in_use_is_left_alone(finished, tmp_path):
+    out = Path(shutil.copytree(finished, tmp_path / "out"))
+    status("running")(out)
+    with held(out):
+        for arguments in (("run", write(tmp_path / "a.toml"), "--output", out), ("resume", out)):
+            called = axijax(*arguments)
+            TOLD["a folder that another run is using"] = told(called, tmp_path), called.code
+            assert called.code == 1 and "in use by a run" in called.err
+    assert (out / "curve.nc").exists()
+
+
+def test_a_full_disk_during_a_checkpoint(tmp_path, monkeypatch):
+    def full(file, **arrays):
+        file.write(b"half a checkpoint")
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(np, "savez", full)
+        called = axijax("run", write(tmp_path / "a.toml"), "--output", tmp_path / "out")
+    TOLD["a disk that is full"] = told(called, tmp_path), called.code
+    assert called.code == 1 and "No space left" in called.err and "axijax resume" in called.err
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"case.toml", "run.json"}

@@ -1,0 +1,625 @@
+"""What a run leaves: read back, checked, drawn, reported, exported; every number against the state it came from."""
+
+import json
+import re
+import shutil
+import struct
+import zlib
+from base64 import b64decode
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from xml.etree import ElementTree
+
+import jax
+import numpy as np
+import pytest
+from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
+from typer.testing import CliRunner
+
+from axijax import paraview, pictures, plot, results
+from axijax.case import Case
+from axijax.checks import result_checks
+from axijax.dynamics import all_forces
+from axijax.membrane import membrane_load
+from axijax.observe import observe
+from axijax.report import report_page
+from axijax.results import RECORDS, open_result, open_results
+from axijax.runs import run_case
+from axijax.snapshot import snapshot
+from axijax.theory import fcc_stress_ratio
+from axijax.triaxial import RECORDS as CURVE_RECORDS
+from axijax.vector import Vector
+from calibrate import MeasuredCurve
+
+CASE = {
+    "specimen": {"layers": 5, "half_width": 5},
+    "test": {"axial_strain": 0.002, "tolerance": 1e-6, "record_every": 20},
+    "parameters": {"platen_speed": 0.003},
+}
+QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The result folder of a small quarter: balls on the axis, across the planes, sliding contacts."""
+    path = tmp_path_factory.mktemp("run") / "small"
+    run_case(Case.model_validate(CASE), path, "small", snapshots=2)
+    return path
+
+
+@pytest.fixture(scope="module")
+def result(folder):
+    return open_result(folder)
+
+
+@pytest.fixture(scope="module")
+def moment(result):
+    """The last state, images filled in."""
+    return snapshot(result.test, result.progress, full=True, confined=result.test.cut.positions)
+
+
+@pytest.fixture
+def copied(folder, tmp_path):
+    """A copy of the result that a test may damage."""
+    return Path(shutil.copytree(folder, tmp_path / "small"))
+
+
+@pytest.fixture(scope="module")
+def forces(result):
+    """All forces of the last state, as a step finds them, and what the test observes there."""
+    test, now = result.test, result.progress
+
+    @jax.jit
+    def at(network, membrane, state, params):
+        load = membrane_load(membrane, network.positions + state.displacement, *state.platens)
+        given = (test.scene, params, network)
+        seen = observe(*given, membrane, load, test.time_step, state)
+        return all_forces(*given, load, test.time_step, state), seen, load
+
+    return at(now.network, now.membrane, now.state, now.params)
+
+
+# Reading back.
+
+
+def test_curve_comes_back_from_every_file(result, folder):
+    """NetCDF, CSV for spreadsheets and for calibrate, and the checkpoint's records hold the same numbers."""
+    curve = result.curve
+    assert RECORDS == CURVE_RECORDS and result.status == "finished" and result.name == "small"
+    assert curve.axial_strain.attrs["units"] == "1" and curve.membrane_radius.attrs["units"] == "L"
+    lines = (folder / "curve.csv").read_text().splitlines()
+    assert lines[0].startswith("# axijax") and "compression positive" in lines[0]
+    heads = lines[1].split(",")
+    assert heads[:2] == ["axial_strain [-]", "stress_ratio [-]"] and heads[-1] == "membrane_radius [L]"
+    table = np.loadtxt(lines[2:], delimiter=",").T
+    for head, column in zip(heads, table, strict=True):
+        np.testing.assert_array_equal(curve[head.split(" ")[0]].values, column)
+    measured = MeasuredCurve.from_csv(folder / "curve.csv")
+    np.testing.assert_array_equal(measured.stress_ratio, curve.stress_ratio.values)
+    np.testing.assert_array_equal(measured.volumetric_strain, curve.volumetric_strain.values)
+    seen = result.progress.records
+    np.testing.assert_array_equal(seen.core_ratio[: curve.sizes["record"]], curve.core_ratio.values)
+    assert float(curve.confinement_stress_error) == float(result.progress.confinement.stress_error) < 1e-6
+
+
+def test_an_unfinished_run_has_the_curve_up_to_its_checkpoint(result, copied):
+    (copied / "curve.nc").unlink()
+    (copied / "run.json").write_text(json.dumps({"status": "interrupted", "message": "Ctrl-C"}))
+    unfinished = open_result(copied)
+    assert unfinished.status == "interrupted" and plot.labels([unfinished]) == ["small (interrupted)"]
+    for name in RECORDS:
+        np.testing.assert_array_equal(unfinished.curve[name].values, result.curve[name].values)
+    told = replace(unfinished, path=copied / "curve.nc")  # without the pictures
+    told.__dict__["case"] = result.case
+    assert "small (interrupted) has not finished (status: interrupted): Ctrl-C" in report_page([told])
+    assert not result_checks(unfinished)[0].passed
+
+
+def test_a_run_that_went_wrong_shows_its_curve(result, copied):
+    (copied / "curve.nc").rename(copied / "partial_curve.nc")
+    (copied / "run.json").write_text(json.dumps({"status": "failed", "message": "a ball has left"}))
+    failed = open_result(copied)
+    np.testing.assert_array_equal(failed.curve.stress_ratio, result.curve.stress_ratio)
+    assert failed.status == "failed" and not result_checks(failed)[0].passed
+
+
+def test_a_bare_file_of_curves_keeps_the_case(result, folder):
+    bare = open_result(folder / "curve.nc")
+    assert bare.case == result.case and not bare.has_state
+    with pytest.raises(ValueError, match="no last state"):
+        _ = bare.progress
+    assert [check.name for check in result_checks(bare)] == [check.name for check in result_checks(result)][:-5]
+
+
+def test_several_runs_of_one_file(result, tmp_path):
+    curve = results.curve_of(result.progress, result.test.axial_strain)
+    dataset = results.curves_dataset({"a": curve, "b": curve}, {"friction": [0.1, 0.2]}, {})
+    results.save_dataset(dataset, tmp_path / "curves.nc")
+    assert [each.name for each in open_results(tmp_path / "curves.nc")] == ["a", "b"]
+    with pytest.raises(ValueError, match="holds 2 runs"):
+        open_result(tmp_path / "curves.nc")
+    with pytest.raises(ValueError, match="keeps no case"):
+        _ = open_results(tmp_path / "curves.nc")[0].case
+
+
+DAMAGE = {
+    "missing folder": (lambda path: shutil.rmtree(path), "does not exist"),
+    "empty folder": (lambda path: (shutil.rmtree(path), path.mkdir()), "is no result"),
+    "curve cut short": (lambda path: cut(path / "curve.nc"), "damaged or no file of curves"),
+    "curve is text": (lambda path: (path / "curve.nc").write_text("axial_strain"), "damaged or no file of curves"),
+    "empty curve": (lambda path: (path / "curve.nc").write_bytes(b""), "damaged or no file of curves"),
+    "run.json cut short": (lambda path: cut(path / "run.json"), "run.json is damaged"),
+    "unknown status": (lambda path: (path / "run.json").write_text('{"status": "well"}'), "run.json is damaged"),
+    "nothing yet": (
+        lambda path: [
+            (path / "run.json").write_text('{"status": "failed", "message": "disk full"}'),
+            (path / "curve.nc").unlink(),
+            (path / "checkpoint.npz").unlink(),
+        ],
+        "disk full",
+    ),
+    "checkpoint cut short": (lambda path: cut(path / "checkpoint.npz"), "checkpoint.npz' is damaged"),
+    "another case": (
+        lambda path: (path / "case.toml").write_text(
+            (path / "case.toml").read_text().replace("half_width = 5", "half_width = 3")
+        ),
+        "is of another test",
+    ),
+    "misspelt case": (
+        lambda path: (path / "case.toml").write_text("[sectr]\norder = 4\n"),
+        "did you mean 'sector'",
+    ),
+}
+
+
+def cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damaged_results_are_refused_in_one_sentence(damage, copied):
+    spoil, message = DAMAGE[damage]
+    spoil(copied)
+    with pytest.raises(ValueError, match=re.escape(message)) as error:
+        _ = open_result(copied).progress
+    assert "\n" not in str(error.value) and str(copied) in str(error.value)
+
+
+# The moment.
+
+
+def on_balls(moment, vectors):
+    """Sum of the contacts' vectors on the sector's balls, with the other sign on second balls; (3, N)."""
+    contacts, n = moment.contacts, moment.sector.images
+    total = np.zeros((3, 1 + int(moment.balls.number.max())))
+    on_axis = np.hypot(*moment.balls.positions[:2]) < 1e-6
+    alone = (
+        np.isin(contacts.first, moment.balls.number[on_axis]),
+        np.isin(contacts.second, moment.balls.number[on_axis]),
+    )
+    turns = contacts.copy, (contacts.copy + contacts.image) % n
+    for ball, turn, axis, sign in zip((contacts.first, contacts.second), turns, alone, (1, -1), strict=True):
+        kept = (turn == 0) | axis
+        np.add.at(total.T, ball[kept], sign * vectors[:, kept].T)
+    return total
+
+
+def test_contacts_platens_and_membrane_balance_as_the_step_finds_them(moment, forces, result):
+    """Each ball's resultant is the sum of what the snapshot's contacts, platens and membrane put on it."""
+    found, _, load = forces
+    own = moment.balls.image == 0
+    x, y, _ = moment.balls.positions[:, own]
+    inward = -moment.confining_stress * moment.balls.membrane_area[own] / np.maximum(np.hypot(x, y), 1e-300)
+    bottom, top = (np.asarray(push) for push in found.platen_push)
+    total = on_balls(moment, moment.contacts.force) + np.stack([inward * x, inward * y, bottom - top])
+    np.testing.assert_allclose(total, np.asarray(found.resultant), atol=1e-9 * moment.contacts.normal_force.max())
+    np.testing.assert_allclose(moment.balls.membrane_area[own], load.lateral)
+    np.testing.assert_allclose(
+        moment.platens.forces, [4 * (b * result.progress.network.weight).sum() for b in (bottom, top)]
+    )
+
+
+def test_what_is_counted_is_what_the_test_observes(moment, forces):
+    _, seen, _ = forces
+    contacts, balls = moment.contacts, moment.balls
+    assert balls.coordination.mean() == pytest.approx(float(seen.coordination_number), rel=1e-12)
+    assert contacts.sliding.mean() == pytest.approx(float(seen.sliding_fraction), rel=1e-12)
+    assert 0 < contacts.sliding.sum() < contacts.sliding.size
+    assert moment.stress_ratio == pytest.approx(float(seen.stress_ratio), rel=1e-12)
+    volume = 4 / 3 * np.pi * balls.radius**3
+    middle, height = moment.platens.heights.mean(), np.ptp(moment.platens.heights)
+    rho, z = np.hypot(*balls.positions[:2]), balls.positions[2]
+    core = (rho < seen.membrane_radius / 2) & (np.abs(z - middle) < 0.3 * height)
+    # Arms are radii there and lie on the branch here, an overlap apart.
+    xx, yy, zz = ((balls.stress[a, a] * volume)[core].sum() for a in range(3))
+    assert core.sum() == 6 and zz / (0.5 * (xx + yy)) == pytest.approx(float(seen.core_ratio), rel=5e-4)
+
+
+def test_stress_of_the_balls_is_the_love_weber_sum(moment, forces):
+    """Balls' stress times volume adds up to force times branch of the contacts, and arm times push at the
+    boundaries; its vertical part to platen force times height."""
+    contacts, balls = moment.contacts, moment.balls
+    total = (balls.stress * 4 / 3 * np.pi * balls.radius**3).sum(-1)
+    love_weber = np.einsum("ac,bc->ab", contacts.start - contacts.end, contacts.force)
+    rho = np.hypot(*balls.positions[:2])
+    push = moment.confining_stress * balls.membrane_area * balls.radius
+    unit = balls.positions[:2] / np.where(rho > 0, rho, 1)
+    love_weber[:2, :2] += np.einsum("ai,bi,i->ab", unit, unit, push)
+    bottom, top = (np.asarray(push)[balls.number] for push in forces[0].platen_push)
+    low, high = moment.platens.heights
+    love_weber[2, 2] += (bottom * (balls.positions[2] - low) + top * (high - balls.positions[2])).sum()
+    np.testing.assert_allclose(total, love_weber, atol=1e-12 * total[2, 2])
+    height = np.ptp(moment.platens.heights)
+    assert total[2, 2] == pytest.approx(moment.platens.forces.mean() * height, rel=1e-4)
+    assert float(forces[1].unbalanced_force) < 1e-2
+
+
+def test_rigid_planes_take_their_part_in_the_stress():
+    """Confined between rigid planes, which meet at the axis: all inner stress balances platens and membrane, as without
+    them, and the planes push inward, on the balls that touch them."""
+    case = Case.model_validate(CASE | {"sector": {"boundary": "rigid"}})
+    test = case.build()
+    moment = snapshot(test, test._begin(test.params), full=True)
+    balls, (low, high) = moment.balls, moment.platens.heights
+    assert moment.balls.number.size == len(test.cut) and not moment.balls.image.any()
+    xx, yy, zz = (np.sum(balls.stress[a, a] * 4 / 3 * np.pi * balls.radius**3) for a in range(3))
+    assert zz == pytest.approx(moment.platens.forces.mean() * (high - low), rel=1e-6)
+    inward = moment.confining_stress * balls.membrane_area
+    assert xx + yy == pytest.approx(np.sum(inward * (np.hypot(*balls.positions[:2]) + balls.radius)), rel=1e-6)
+    assert np.sum(balls.positions[1] < balls.radius) > 3, "balls press on the planes"
+
+
+def test_images_are_turned_with_all_they_carry(moment):
+    """A quarter turn is (x, y, z) -> (-y, x, z), for vectors, and on both sides of a tensor."""
+    balls, contacts = moment.balls, moment.contacts
+    assert np.unique(balls.image).tolist() == [0, 1, 2, 3]
+    off_axis = np.flatnonzero(np.hypot(*balls.positions[:2, balls.image == 0]) > 1e-6)
+    for number in off_axis[[0, 7, -1]]:
+        first, second = (np.flatnonzero((balls.number == number) & (balls.image == k))[0] for k in (0, 1))
+        for vectors in (balls.positions, balls.velocity, balls.spin, balls.displacement):
+            np.testing.assert_allclose(vectors[:, second], QUARTER @ vectors[:, first], rtol=1e-13, atol=1e-300)
+            assert np.abs(vectors[:, first]).max() > 0
+        turned = QUARTER @ balls.stress[..., first] @ QUARTER.T
+        np.testing.assert_allclose(balls.stress[..., second], turned, atol=1e-9 * np.abs(turned).max())
+    # Every contact ends at balls that are there, and no two are the same.
+    place = {tuple(np.round(p, 6)) for p in balls.positions.T}
+    ends = [
+        frozenset((tuple(np.round(a, 6)), tuple(np.round(b, 6))))
+        for a, b in zip(contacts.start.T, contacts.end.T, strict=True)
+    ]
+    assert all(pair <= place for pair in ends) and len(set(ends)) == len(ends)
+    distance = np.linalg.norm(contacts.start - contacts.end, axis=0)
+    assert (distance < balls.radius[0] * 2).all()
+    everywhere = np.linalg.norm(balls.positions[:, :, None] - balls.positions[:, None], axis=0)
+    assert (np.triu(everywhere < 2 * balls.radius[0], 1)).sum() == len(ends)
+
+
+def test_cells_are_those_that_are_loaded(moment):
+    membrane = moment.membrane
+    areas = [0.5 * abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))) for x, y in (p.T for p in membrane.polygons)]
+    np.testing.assert_allclose(areas, membrane.area, rtol=1e-9)
+    np.testing.assert_allclose(membrane.force, moment.confining_stress * membrane.area)
+    strip = 2 * np.pi * membrane.radius * np.ptp(moment.platens.heights)
+    assert membrane.area.sum() == pytest.approx(strip, rel=1e-12)
+
+
+# Checks.
+
+
+def test_checks_pass_but_for_the_short_specimens_boundaries(result):
+    checks = {check.name: check for check in result_checks(result, energy=True)}
+    failed = [name for name, check in checks.items() if not check.passed]
+    boundaries = [f"platen against {inner} stress ratio at the peak" for inner in ("virial", "core")]
+    assert failed == boundaries, "five layers of seventeen balls are not a continuum"
+    assert checks["platen against internal stress"].value < 1e-4
+    assert 0 < checks["energy ledger closes"].value < 1e-5
+    assert checks["membrane cells tile the strip"].value < 1e-12
+    assert checks["unbalanced force after confinement"].limit == 1e-6
+    assert all(check.meaning and "\n" not in check.meaning for check in checks.values())
+
+
+def test_checks_find_what_is_wrong(result):
+    """Chatter at the peak, motion, and balls lifted off the bottom platen by a quarter of an overlap."""
+    curve = result.curve.copy(deep=True)
+    curve["chatter"][int(curve.stress_ratio.values.argmax())] = 0.1
+    curve["unbalanced_force"][:] = 0.5
+    spoilt = replace(result, curve=curve)
+    state = result.progress.state
+    lifted = state.displacement + Vector(0.0, 0.0, 0.005)
+    faulty = result.progress._replace(state=state._replace(displacement=lifted))
+    spoilt.__dict__.update(case=result.case, test=result.test, progress=faulty)
+    failed = {check.name for check in result_checks(spoilt) if not check.passed}
+    assert failed >= {
+        "chatter at the peak", "chatter of the whole curve", "unbalanced force at the peak",
+        "bottom against top platen force",
+    }  # fmt: skip
+
+
+# ParaView.
+
+
+def read_vtu(path):
+    """Points, offsets and the named arrays of a VTK XML unstructured grid, by the format's description alone."""
+    root = ElementTree.parse(path).getroot()
+    kinds = {"Float64": "<f8", "Int64": "<i8", "Int32": "<i4"}
+
+    def array(element):
+        raw = b64decode(element.text.strip()[: 4 * -(-4 * 3 // 3)])  # number of blocks, block size, last block size
+        blocks = struct.unpack("<3I", raw[:12])[0]
+        head = 4 * (3 + blocks)
+        encoded = 4 * -(-head // 3)
+        sizes = struct.unpack(f"<{3 + blocks}I", b64decode(element.text.strip()[:encoded])[:head])[3:]
+        packed, data = b64decode(element.text.strip()[encoded:]), b""
+        for size in sizes:
+            data += zlib.decompress(packed[:size])
+            packed = packed[size:]
+        values = np.frombuffer(data, kinds[element.get("type")])
+        width = int(element.get("NumberOfComponents", 1))
+        return values.reshape(-1, width) if width > 1 else values
+
+    named = {
+        kind: {e.get("Name"): array(e) for e in root.iter("DataArray") if e in list(root.find(f".//{kind}"))}
+        for kind in ("Points", "Cells", "PointData", "CellData")
+        if root.find(f".//{kind}") is not None
+    }
+    return named.pop("Points")["Points"], named["Cells"], named.get("PointData", {}), named.get("CellData", {})
+
+
+@pytest.fixture(scope="module")
+def exported(result, tmp_path_factory):
+    """Snapshots of the start and of the last state."""
+    folder = tmp_path_factory.mktemp("snapshots") / "made"
+    write = paraview.SnapshotWriter(folder, result.test, full=True)
+    write(result.test._begin(result.test.params))
+    return folder, write(result.progress)
+
+
+def test_files_hold_the_state(exported, moment, result):
+    folder, paths = exported
+    assert [path.name for path in paths[:4]] == [f"{part}_0001.vtu" for part in paraview.PARTS]
+    points, _, data, _ = read_vtu(folder / "balls_0001.vtu")
+    balls, contacts = moment.balls, moment.contacts
+    np.testing.assert_array_equal(points, balls.positions.T)
+    for name in ("radius", "velocity", "spin", "membrane_area", "weight", "number", "image"):
+        np.testing.assert_array_equal(data[name], getattr(balls, name).T, err_msg=name)
+    np.testing.assert_array_equal(data["coordination_number"], balls.coordination)
+    np.testing.assert_array_equal(data["stress"].reshape(-1, 3, 3), np.moveaxis(balls.stress, -1, 0))
+    ends, _, at_points, data = read_vtu(folder / "contacts_0001.vtu")
+    np.testing.assert_allclose(ends[::2] - ends[1::2], (contacts.start - contacts.end).T, atol=1e-12 * ends.max())
+    np.testing.assert_array_equal(data["force"], contacts.force.T)
+    np.testing.assert_allclose(
+        np.hypot(data["normal_force"], data["tangential_force"]), np.linalg.norm(contacts.force, axis=0), rtol=1e-12
+    )
+    np.testing.assert_array_equal(data["sliding"], contacts.sliding)
+    np.testing.assert_array_equal(at_points["normal_force"][1::2], data["normal_force"])
+    corners, cells, _, data = read_vtu(folder / "membrane_0001.vtu")
+    np.testing.assert_allclose(np.hypot(*corners.T[:2]), moment.membrane.radius)
+    assert np.diff(cells["offsets"], prepend=0).sum() == len(corners) and (cells["types"] == 7).all()
+    assert data["area"].sum() == pytest.approx(moment.membrane.area.sum(), rel=1e-12)
+    assert data["force"].sum() == pytest.approx(moment.membrane.force.sum(), rel=1e-12)
+    # The polygon of a cell is about the ball whose number it bears, of the image it bears.
+    first = np.concatenate([[0], cells["offsets"][:-1]])
+    for cell in (0, 17, len(first) - 1):
+        x, y, z = corners[cells["connectivity"][first[cell] : cells["offsets"][cell]]].mean(0)
+        ball = np.flatnonzero((balls.number == data["number"][cell]) & (balls.image == data["image"][cell]))[0]
+        place = balls.positions[:, ball]
+        turn = np.angle((x + 1j * y) / (place[0] + 1j * place[1]))
+        assert np.hypot(turn * moment.membrane.radius, z - place[2]) < balls.radius[ball]
+    rim, _, _, data = read_vtu(folder / "platens_0001.vtu")
+    np.testing.assert_array_equal(np.unique(rim[:, 2]), moment.platens.heights)
+    np.testing.assert_array_equal(data["force"], moment.platens.forces)
+
+
+def test_displacement_counts_from_the_end_of_confinement(exported, result):
+    folder, _ = exported
+    before, _, data, _ = read_vtu(folder / "balls_0000.vtu")
+    assert not data["displacement"].any() and not data["velocity"].any()
+    after, _, data, _ = read_vtu(folder / "balls_0001.vtu")
+    np.testing.assert_allclose(data["displacement"], after - before, atol=1e-12)
+    shortening = result.progress.strain * result.progress.height
+    assert np.ptp(data["displacement"][:, 2]) == pytest.approx(shortening, rel=0.2)
+
+
+def times(folder):
+    root = ElementTree.parse(folder / "balls.pvd").getroot()
+    return {entry.get("file"): float(entry.get("timestep")) for entry in root.iter("DataSet")}
+
+
+def test_index_has_strain_for_time_and_survives_stops(exported, result, tmp_path, monkeypatch):
+    folder, _ = exported
+    strain = pytest.approx(result.progress.strain, rel=1e-8)
+    assert times(folder) == {"balls_0000.vtu": 0.0, "balls_0001.vtu": strain}
+    again = Path(shutil.copytree(folder, tmp_path / "again"))
+    resumed = paraview.SnapshotWriter(again, result.test)
+    resumed(result.progress)  # goes on in the folder, in place of the same strain
+    assert times(again) == times(folder)
+    points = read_vtu(again / "balls_0001.vtu")[0]
+    assert len(points) == len(result.test.cut), "the sector alone"
+
+    def full(path, write):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(paraview, "write_whole", full)
+    with pytest.raises(OSError, match="disk full"):
+        paraview.SnapshotWriter(again, result.test)(result.progress)
+    assert times(again) == times(folder) and not list(again.glob(".*"))
+
+
+def test_vtk_reads_the_files(exported):
+    """The format's own library, where it is installed."""
+    vtk = pytest.importorskip("vtk")
+    for path in exported[1][:4]:
+        reader = vtk.vtkXMLUnstructuredGridReader()
+        reader.SetFileName(str(path))
+        reader.Update()
+        assert reader.GetOutput().GetNumberOfCells() > 0
+
+
+# Pictures.
+
+
+def drawn(figure, kind):
+    return [each for axes in figure.axes for each in axes.collections if isinstance(each, kind)]
+
+
+def test_curves_theory_and_data_are_drawn_as_they_are(result, folder):
+    data = MeasuredCurve(np.array([0.001, 0.002]), np.array([2.0, 3.0]), np.array([1e-4, 2e-4]), source="lab.csv")
+    other = open_result(folder)
+    friction = result.case.parameters.model_copy(update={"friction": 0.3})
+    other.__dict__["case"] = result.case.model_copy(update={"parameters": friction})
+    figure = plot.curve_figure([result, other], data)
+    upper, lower = figure.axes
+    lines = {line.get_label(): line for line in upper.lines}
+    assert set(lines) == {
+        "friction 0.12278", "friction 0.3", "Thornton (1979), f = 0.12278", "Thornton (1979), f = 0.3",
+        "measured, lab.csv",
+    }  # fmt: skip
+    strain, ratio = lines["friction 0.3"].get_data()
+    np.testing.assert_allclose(strain, 100 * result.curve.axial_strain)
+    np.testing.assert_array_equal(ratio, result.curve.stress_ratio)
+    assert set(lines["Thornton (1979), f = 0.3"].get_ydata()) == {float(fcc_stress_ratio(0.3))}
+    np.testing.assert_allclose(lines["measured, lab.csv"].get_xydata(), [[0.1, 2], [0.2, 3]])
+    np.testing.assert_allclose(lower.lines[0].get_ydata(), 100 * result.curve.volumetric_strain)
+    assert "[%]" in lower.get_xlabel() and "[-]" in upper.get_ylabel()
+
+
+def test_force_network_is_as_wide_as_the_forces(moment):
+    lines = drawn(pictures.force_network(moment), LineCollection)
+    contacts = moment.contacts
+    middle = (contacts.start[1] + contacts.end[1]) / 2 / moment.balls.radius[0]
+    shown = (middle > -0.3) & (middle < 1.3)
+    widths = np.concatenate([each.get_linewidths() for each in lines])
+    assert widths.size == shown.sum() > 0
+    ratio = np.sort(widths) / np.sort(contacts.normal_force[shown])
+    np.testing.assert_allclose(ratio, ratio[0])
+
+
+def test_rose_is_a_circle_where_all_directions_are_alike(moment):
+    rng = np.random.default_rng(1)
+    normal = rng.normal(size=(3, 200_000))
+    normal /= np.linalg.norm(normal, axis=0)
+    one = np.ones(normal.shape[1])
+    alike = moment.contacts._replace(normal=normal, share=one, normal_force=one)
+
+    def bars(contacts):
+        number, force = pictures.fabric_rose(moment._replace(contacts=contacts)).axes
+        return [np.array([bar.get_height() for bar in axes.patches]).reshape(4, -1) for axes in (number, force)]
+
+    for density in bars(alike):
+        np.testing.assert_allclose(density, 1.0, atol=0.06)
+    for density in bars(moment.contacts):
+        assert density[0].argmax() == 4, "an FCC array bears at 45 degrees"
+    share = 1 / (np.sin(np.deg2rad(50)) - np.sin(np.deg2rad(40)))
+    inclined = np.abs(moment.contacts.normal[2]) > 0.5
+    assert bars(moment.contacts)[0][0, 4] == pytest.approx(share * inclined.mean(), rel=1e-9)
+
+
+def test_cells_section_and_specimen_show_every_ball_once(moment):
+    figure = pictures.membrane_cells(moment)
+    (cells,) = drawn(figure, PolyCollection)
+    np.testing.assert_array_equal(np.asarray(cells.get_array()), np.tile(moment.membrane.area, 3))
+    assert figure.axes[0].get_xlim()[1] == pytest.approx(2 * np.pi * moment.membrane.radius)
+    upright, plan = drawn(pictures.section(moment), EllipseCollection)
+    y = moment.balls.positions[1] / moment.balls.radius[0]
+    assert len(upright.get_offsets()) == ((y > -0.3) & (y < 1.3)).sum()
+    assert len(plan.get_offsets()) > 0
+    (discs,) = drawn(pictures.specimen(moment), EllipseCollection)
+    colours = discs.get_facecolors()[:: pictures.SHADES]
+    blue = colours[:, 2] > colours[:, 0] + 0.1
+    assert blue.size == moment.balls.number.size and blue.sum() == len(np.unique(moment.balls.number))
+
+
+def test_pictures_are_files(result, tmp_path):
+    kinds = ["curve", *pictures.KINDS]
+    paths = plot.plot_result([result], kinds, tmp_path / "all")
+    assert [path.name for path in paths] == [f"{kind}.png" for kind in kinds]
+    for path in paths:
+        assert path.read_bytes().startswith(b"\x89PNG") and path.stat().st_size > 10_000
+    with pytest.raises(ValueError, match="did you mean 'fabric-rose'"):
+        plot.plot_result([result], ["fabric_rose"], tmp_path)
+    with pytest.raises(ValueError, match="2 pictures do not fit one file"):
+        plot.plot_result([result], ["curve", "section"], tmp_path / "one.png")
+    assert plot.plot_result([result], ["curve"], tmp_path / "one.png") == [tmp_path / "one.png"]
+
+
+# The report.
+
+
+class Page(HTMLParser):
+    """Text, tags that were not closed in order, and everything that a page would fetch."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.words, self.open, self.wrong, self.fetched, self.images = [], [], [], [], 0
+        self.feed(text)
+        self.close()
+        self.text = " ".join(" ".join(self.words).split())
+
+    def handle_starttag(self, tag, attributes):
+        if tag not in ("meta", "img", "br"):
+            self.open.append(tag)
+        for name, value in attributes:
+            if name in ("src", "href") and not value.startswith("data:image/png;base64,"):
+                self.fetched.append(value)
+        self.images += tag == "img"
+
+    def handle_endtag(self, tag):
+        if not self.open or self.open.pop() != tag:
+            self.wrong.append(tag)
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+def test_report_stands_alone_and_tells_all(result):
+    text = report_page([result])
+    page = Page(text)
+    assert not page.wrong and not page.open and not page.fetched
+    assert "<script" not in text and "http" not in text and "@import" not in text and "url(" not in text
+    assert page.images == 6
+    for values in result.case.model_dump().values():
+        for name, value in values.items():
+            words = {"None": "left out", "True": "true", "False": "false"}
+            shown = {words.get(str(value), str(value)), f"{value:g}" if isinstance(value, float) else ""} - {""}
+            assert any(f"{name} {each} " in page.text for each in shown), name
+    peak = float(result.curve.stress_ratio.max())
+    assert f"{peak:.4g} peak stress ratio" in page.text and f"jax {jax.__version__}" in page.text
+    for check in result_checks(result):
+        assert check.name in page.text
+    assert "axijax run case.toml --output small" in page.text and "half_width = 5" in text
+
+
+def test_report_escapes_what_it_did_not_write(result):
+    spoilt = replace(result, status="failed", info={"message": "<script>alert(1)</script>", "machine": {"cpu": "<b>"}})
+    text = report_page([replace(spoilt, path=result.path / "curve.nc")])
+    assert "<script" not in text and "&lt;script&gt;" in text and "&lt;b&gt;" in text
+
+
+# The commands.
+
+
+def test_commands_write_what_they_say(folder, tmp_path, monkeypatch):
+    from axijax.cli import app
+
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(folder, "small")
+
+    def call(*arguments):
+        outcome = CliRunner().invoke(app, arguments)
+        assert outcome.exit_code == 0, outcome.output
+        return outcome.output
+
+    assert "small/pictures/curve.png" in call("plot", "small", "--data", "small/curve.csv")
+    assert "report.html" in call("report", "small/curve.nc", "small/curve.nc", "--output", "new/report.html")
+    page = Page(Path("new/report.html").read_text())
+    assert "Comparison" in page.text and not page.wrong and not page.fetched
+    # The run has written the start and the end, of which the end is written again.
+    made = times(Path("small/snapshots"))
+    assert list(made) == ["balls_0000.vtu", "balls_0001.vtu"]
+    assert "balls_0001.vtu" in call("snapshot", "small") and times(Path("small/snapshots")) == made
+    assert "snapshots-full/balls_0000.vtu" in call("snapshot", "small", "--full")
+    for bad in (["plot", "none"], ["snapshot", "small/curve.nc"], ["plot", "small", "--data", "none.csv"]):
+        outcome = CliRunner().invoke(app, bad)
+        assert isinstance(outcome.exception, ValueError)
+        assert re.search("'none' does not exist|no last state|none.csv: no such file", str(outcome.exception))

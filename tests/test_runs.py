@@ -1,0 +1,201 @@
+"""A case run into a folder: what the folder holds, stopping and going on, and whole files only."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+
+import jax
+import numpy as np
+import pytest
+from cli_in_process import SMALL, axijax, write
+
+from axijax import runs
+from axijax.case import Case, load_case
+from axijax.results import open_result
+from axijax.runs import run_case
+
+FILES = {"case.toml", "run.json", "checkpoint.npz", "curve.nc", "curve.csv", "curve.png"}
+LONGER = SMALL.replace("0.012", "0.016")
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """The folder of a run that was never stopped, and what it printed."""
+    folder = tmp_path_factory.mktemp("runs")
+    called = axijax("run", write(folder / "small.toml"), "--output", folder / "small")
+    assert called.code == 0, called.err
+    return folder / "small", called
+
+
+@pytest.fixture(scope="module")
+def finished_longer(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs")
+    assert axijax("run", write(folder / "longer.toml", LONGER), "--output", folder / "longer").code == 0
+    return folder / "longer"
+
+
+def status_of(folder):
+    return json.loads((folder / "run.json").read_text())["status"]
+
+
+def assert_same_result(folder, other):
+    """Curves and last states, bit for bit."""
+    one, two = open_result(folder), open_result(other)
+    for name in one.curve.data_vars:
+        np.testing.assert_array_equal(one.curve[name].values, two.curve[name].values, err_msg=name)
+    for (name, a), b in zip(jax.tree.leaves_with_path(one.progress), jax.tree.leaves(two.progress), strict=True):
+        np.testing.assert_array_equal(np.asarray(a), np.asarray(b), err_msg=str(name))
+
+
+def interrupted(folder, monkeypatch, case=SMALL, number=signal.SIGINT, after=1500):
+    """A run that got a signal once it had taken so many steps; the call."""
+
+    def noticing(self, test, now):
+        if now is not None and now.records.height.size * test.record_every >= after:
+            os.kill(os.getpid(), number)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("axijax.cli_run._PlainLines.tell", noticing)
+        return axijax("run", write(folder.parent / "small.toml", case), "--output", folder)
+
+
+def test_the_folder_tells_what_was_run(finished):
+    folder, _ = finished
+    assert {path.name for path in folder.iterdir()} == FILES
+    info = json.loads((folder / "run.json").read_text())
+    assert info["status"] == "finished" and info["name"] == "small" and info["balls"] == 26
+    assert info["jax"] == jax.__version__ and info["numpy"] == np.__version__ and info["machine"]["cores"] >= 1
+    assert info["seconds"] > 0 and info["started"] <= info["ended"] and info["command"][0] == "axijax"
+    case = load_case(folder / "case.toml")
+    assert case.test.time_step == case.build().time_step, "every value is filled in"
+    assert case.with_test(time_step=None) == Case.model_validate(tomllib.loads(SMALL))
+    with open(folder / "curve.csv") as file:
+        assert "axial_strain" in file.read(400)
+
+
+def test_a_pipe_gets_a_few_plain_lines(finished):
+    _, called = finished
+    lines = called.out.strip().splitlines()
+    assert len(lines) == 3 and "\x1b" not in called.out and called.err == ""
+    assert "26 balls" in lines[0] and "confined in" in lines[1] and "peak stress ratio" in lines[2]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_and_resumed_is_the_run_that_never_stopped(number, finished, tmp_path, monkeypatch):
+    folder = tmp_path / "small"
+    called = interrupted(folder, monkeypatch, number=number)
+    assert called.code == 130
+    assert f"axijax resume {folder}" in called.err and "Traceback" not in called.err
+    assert status_of(folder) == "interrupted"
+    assert {path.name for path in folder.iterdir()} == {"case.toml", "run.json", "checkpoint.npz"}, "no curve as yet"
+    assert signal.getsignal(number) is not None and "_signals_wait" not in repr(signal.getsignal(number))
+    called = axijax("resume", folder)
+    assert called.code == 0, called.err
+    assert status_of(folder) == "finished" and json.loads((folder / "run.json").read_text())["resumed"] == 1
+    assert_same_result(folder, finished[0])
+
+
+def test_finished_and_taken_further_is_the_longer_run(finished_longer, tmp_path):
+    folder = tmp_path / "small"
+    run_case(Case.model_validate(tomllib.loads(SMALL)), folder, "small")
+    called = axijax("resume", folder, "--axial-strain", "0.016")
+    assert called.code == 0, called.err
+    assert load_case(folder / "case.toml").test.axial_strain == 0.016
+    assert_same_result(folder, finished_longer)
+
+
+def test_a_run_stopped_before_it_was_confined_starts_again(finished, tmp_path, monkeypatch):
+    folder = tmp_path / "small"
+
+    def stop(self, test, now):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("axijax.cli_run._PlainLines.tell", stop)
+        called = axijax("run", write(tmp_path / "small.toml"), "--output", folder)
+    assert called.code == 130 and "before it was confined" in called.err
+    assert {path.name for path in folder.iterdir()} == {"case.toml", "run.json"}
+    assert axijax("resume", folder).code == 0
+    assert_same_result(folder, finished[0])
+
+
+def test_overwriting_leaves_nothing_of_the_old(tmp_path, monkeypatch):
+    folder = tmp_path / "small"
+    assert axijax("run", write(tmp_path / "small.toml"), "--output", folder).code == 0
+    (folder / "notes.txt").write_text("mine")
+    with monkeypatch.context() as patch:
+        patch.setattr("axijax.cli_run._PlainLines.tell", lambda *_: os.kill(os.getpid(), signal.SIGINT))
+        assert axijax("run", tmp_path / "small.toml", "--output", folder, "--overwrite").code == 130
+    assert not (folder / "curve.nc").exists() and (folder / "notes.txt").read_text() == "mine"
+
+
+def test_a_failed_run_keeps_its_curve_under_another_name(tmp_path):
+    """Platens that outrun the contact list between two looks at it."""
+    case = write(tmp_path / "fast.toml", SMALL.replace("0.01\n", "2.0\n").replace("0.012", "0.3"))
+    called = axijax("run", case, "--output", tmp_path / "fast")
+    assert called.code == 1 and "went wrong" in called.err
+    assert status_of(tmp_path / "fast") == "failed"
+    assert {path.name for path in (tmp_path / "fast").iterdir()} == {
+        "case.toml", "run.json", "checkpoint.npz", "partial_curve.nc",
+    }  # fmt: skip
+    again = axijax("resume", tmp_path / "fast")
+    assert again.code == 1 and "failed" in again.err and "would again" in again.err
+
+
+def test_a_full_disk_loses_nothing(finished, tmp_path, monkeypatch):
+    folder = tmp_path / "small"
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(runs, "save_run", full)
+        called = axijax("run", write(tmp_path / "small.toml"), "--output", folder)
+    assert called.code == 1 and "No space left" in called.err and f"axijax resume {folder}" in called.err
+    assert not (folder / "curve.nc").exists() and status_of(folder) != "finished"
+    assert axijax("resume", folder).code == 0
+    assert_same_result(folder, finished[0])
+
+
+def test_json_lines_tell_every_stage(tmp_path):
+    called = axijax("run", write(tmp_path / "small.toml"), "--output", tmp_path / "out", "--json")
+    lines = [json.loads(line) for line in called.out.splitlines()]
+    assert [line["event"] for line in lines[:3]] == ["confining", "confined", "progress"]
+    assert lines[-1]["event"] == "finished" and lines[-1]["result"] == str(tmp_path / "out")
+    strains = [line["axial_strain"] for line in lines if line["event"] == "progress"]
+    assert strains == sorted(strains) and strains[0] == 0 and strains[-1] >= 0.012
+    last = next(line for line in reversed(lines) if line["event"] == "progress")
+    assert last["ball_steps_per_second"] > 0 and last["seconds_left"] >= 0 and 0 <= last["unbalanced_force"] < 1
+    best = open_result(tmp_path / "out").curve.stress_ratio.values.max()
+    assert lines[-1]["peak_stress_ratio"] == best
+
+
+def test_snapshots_are_spread_over_the_shear(finished, tmp_path):
+    folder = tmp_path / "small"
+    assert axijax("run", write(tmp_path / "small.toml"), "--output", folder, "--snapshots", 3).code == 0
+    assert len(list((folder / "snapshots").glob("balls_*.vtu"))) == 3
+    assert_same_result(folder, finished[0])
+    assert runs._snapshot_strains(3, 0.01, 0.0) == [0.0, 0.005, 0.01]
+    assert runs._snapshot_strains(3, 0.01, 0.006) == [0.01] and runs._snapshot_strains(1, 0.01, 0.0) == [0.01]
+
+
+def test_a_real_process_stops_and_goes_on(finished, tmp_path):
+    """Ctrl-C from outside, as a shell sends it."""
+    case = write(tmp_path / "small.toml", SMALL.replace("0.012", "0.3"))
+    command = [sys.executable, "-m", "axijax", "run", str(case), "--output", str(tmp_path / "out")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        limit = time.monotonic() + 100
+        while not (tmp_path / "out" / "checkpoint.npz").exists() and time.monotonic() < limit:
+            time.sleep(0.1)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=100)
+    finally:
+        process.kill()
+    assert process.returncode == 130, errors
+    assert "axijax resume" in errors and "Traceback" not in errors
+    assert status_of(tmp_path / "out") == "interrupted"
