@@ -111,12 +111,15 @@ class _Live:
     def tell(self, test: "TriaxialTest", now: "Progress | None") -> None:
         """Take note of where a run stands, and show it."""
         if now is None:
-            return self.show("confining", f"compiling and confining {len(test.cut)} balls")
+            return self.show("preparing", f"{len(test.cut)} balls, {test.protocol.blocks * test.record_every} steps")
         self.marks.append((time.perf_counter(), now.strain, now.records.height.size))
         if len(self.marks) == 1:
-            balance = now.confinement
-            found = f"{int(balance.steps)} steps to an unbalanced force of {float(balance.unbalanced_force):.1e}"
-            self.show("confined", f"confined in {found}; shearing to {100 * test.axial_strain:g} %")
+            balance, goal = now.confinement, f"shearing to {100 * test.axial_strain:g} %"
+            if now.strain > 0:
+                self.show("resumed", f"going on from {100 * now.strain:.3g} % axial strain; {goal}")
+            else:
+                found = f"{int(balance.steps)} steps to an unbalanced force of {float(balance.unbalanced_force):.1e}"
+                self.show("confined", f"confined in {found}; {goal}")
         rate, left = self.speed(test)
         self.advance(test, now, rate, left)
 
@@ -173,8 +176,8 @@ class _LiveLine(_Live):
     def show(self, event: str, text: str) -> None:
         from rich.spinner import Spinner
 
-        if event == "confining":
-            self.live.update(Spinner("dots", text + " .."))
+        if event == "preparing":
+            self.live.update(Spinner("dots", f"confining {text}"))
         else:
             self.live.console.print(text, highlight=False, soft_wrap=True)
 
