@@ -11,6 +11,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -95,3 +96,47 @@ def run_peer(
     reply = json.loads(replies[-1])
     reply["axial_strain"], reply["stress_ratio"] = np.array(reply["axial_strain"]), np.array(reply["stress_ratio"])
     return Shear(**reply)
+
+
+class Ours:
+    """axijax in a process of its own, on its cores (see `axijax_shear`), which waits for `run`.
+
+    ready: what the process said of itself. Use it in a `with` statement, which ends the process.
+
+    Raises RuntimeError with the end of the process's output where it fails.
+    """
+
+    def __init__(self, cores: tuple[int, ...], **options):
+        root = HERE.parent.parent
+        environment = dict(os.environ, JAX_ENABLE_COMPILATION_CACHE="false")
+        environment["PYTHONPATH"] = os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+        command = ["taskset", "-c", ",".join(map(str, cores)), sys.executable, str(HERE / "axijax_shear.py")]
+        self._errors = tempfile.TemporaryFile("w+")
+        self._process = subprocess.Popen(
+            [*command, json.dumps(options)], env=environment, text=True, stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE, stderr=self._errors,
+        )  # fmt: skip
+        self.ready = self._reply()
+
+    def _reply(self) -> dict:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line.startswith("{"):
+            self._process.wait()
+            self._errors.seek(0)
+            raise RuntimeError(f"axijax failed: {self._errors.read()[-2000:]}")
+        return json.loads(line)
+
+    def run(self, **request) -> dict:
+        """One more run; request: what the process takes, such as friction."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps(request) + "\n")
+        self._process.stdin.flush()
+        return self._reply()
+
+    def __enter__(self) -> "Ours":
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._process.communicate()
+        self._errors.close()
