@@ -1,11 +1,12 @@
-"""axijax as a process of its own, timed apart from its harness: sets up and compiles once, then runs whenever it is told.
+"""axijax as a process of its own, apart from its harness: sets up and compiles once, then runs whenever it is told.
 
     python axijax_shear.py '{"specimen": {"layers": 7}, "order": 1}'
 
 Started by `peers.Ours`, pinned to its cores before JAX counts them. Prints a line of JSON when it is ready, and one for
 every line of JSON on its standard input: {} runs once more, {"friction": 0.2} with that friction.
 
-Options: specimen (of fcc_octagon), order, test (of TriaxialTest), params, dtype, and
+Options: specimen (of fcc_octagon), order, test (of TriaxialTest), params, damping, dtype, share (of the critical time
+step), lattice (rotation blocked, stiffness times ten, loaded as the infinite lattice), and
 what: "shear" is the shear alone from the confined state, `blocks` records of 50 steps with fixed cells, as the peers do
     it; "whole" is confinement and shear, what a user waits for; "slopes" is the shear of the test, read by peak
     functionals, for derivatives with respect to friction, on which the confined state does not depend.
@@ -34,6 +35,7 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
 import axijax  # noqa: E402
+from axijax.dynamics import DEFAULT_STEP  # noqa: E402
 
 LARGE = 3000  # balls from which the search for the critical step takes longer than what is timed
 DIRECTIONS = ("friction", "normal_stiffness", "shear_stiffness")
@@ -42,20 +44,24 @@ DIRECTIONS = ("friction", "normal_stiffness", "shear_stiffness")
 def make_test(options) -> axijax.TriaxialTest:
     specimen = axijax.fcc_octagon(**options.get("specimen", {}))
     sector = axijax.Sector(options.get("order", 4))
-    keywords = {"tolerance": 1e-2, **options.get("test", {})}
     scene = axijax.Scene(damping=options.get("damping", "dashpot"))
     params = axijax.Params(**options.get("params", {}))
+    keywords = {"tolerance": 1e-2, "dtype": np.dtype(options.get("dtype", "float64")).type, **options.get("test", {})}
+    if options.get("lattice"):
+        from axijax.lattice import lattice_load
 
-    def build(specimen):
-        dtype = np.dtype(options.get("dtype", "float64")).type
-        return axijax.TriaxialTest(specimen, sector, scene, params, dtype=dtype, **keywords)
-
-    if len(specimen) // sector.order < LARGE:
-        return build(specimen)
-    # The critical step of the lattice is that of a few layers of it.
-    small = axijax.TriaxialTest(axijax.fcc_octagon(layers=7), axijax.Sector(4), scene, params)
-    with mock.patch("axijax.triaxial.critical_time_step", lambda *_: small.time_step / 0.6):
-        return build(specimen)
+        scene = replace(scene, rotation=False)
+        stiffness = 10 * params.normal_stiffness
+        params = replace(params, normal_stiffness=stiffness, shear_stiffness=stiffness)
+        keywords["lateral_load"] = lattice_load(specimen, sector)
+    if len(specimen) // sector.order >= LARGE:
+        # The critical step of the lattice is that of a few layers of it.
+        small = axijax.TriaxialTest(axijax.fcc_octagon(layers=7), axijax.Sector(4), scene, params)
+        with mock.patch("axijax.triaxial.critical_time_step", lambda *_: small.time_step / DEFAULT_STEP):
+            return axijax.TriaxialTest(specimen, sector, scene, params, **keywords)
+    test = axijax.TriaxialTest(specimen, sector, scene, params, **keywords)
+    share = options.get("share", DEFAULT_STEP)
+    return test if share == DEFAULT_STEP else replace(test, time_step=test.time_step * share / DEFAULT_STEP)
 
 
 def functionals(curve):
@@ -212,15 +218,12 @@ def timed(program: Program, options, friction):
     runs, began = 0, time.perf_counter()
     with ThreadPoolExecutor(threads) as pool:
         while True:
-            if together:
-                result = list(pool.map(lambda _: program(friction), range(tests)))[0]
-            else:
-                result = program(friction)
+            results = list(pool.map(program, [friction] * tests)) if together else [program(friction)]
             runs += 1
             seconds = time.perf_counter() - began
             if seconds > least:
                 break
-    reply = {"seconds": seconds / runs}
+    reply, result = {"seconds": seconds / runs}, results[0]
     what = options.get("what", "shear")
     if what == "slopes" and options.get("reverse"):
         value, gradient = result

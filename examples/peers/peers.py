@@ -22,7 +22,7 @@ LAMMPS, YADE = "LAMMPS", "YADE"
 
 
 class Shear(NamedTuple):
-    """What a peer did: strain and stress ratio at its records [-], seconds of the steps alone and of what came before."""
+    """What a peer did: strain and stress ratio at its records [-], seconds of the steps and of what came before."""
 
     axial_strain: np.ndarray
     stress_ratio: np.ndarray
@@ -111,7 +111,7 @@ class Ours:
         environment = dict(os.environ, JAX_ENABLE_COMPILATION_CACHE="false")
         environment["PYTHONPATH"] = os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
         command = ["taskset", "-c", ",".join(map(str, cores)), sys.executable, str(HERE / "axijax_shear.py")]
-        self._errors = tempfile.TemporaryFile("w+")
+        self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 - it lives as long as the process
         self._process = subprocess.Popen(
             [*command, json.dumps(options)], env=environment, text=True, stdin=subprocess.PIPE,
             stdout=subprocess.PIPE, stderr=self._errors,
