@@ -200,8 +200,8 @@ class Study:
     def reference_slopes(self) -> dict:
         """dR/df of the converged run: central differences at h and h/2, extrapolated to h = 0; of several h, the one
         where two extrapolations differ least."""
-        steps = 8e-3 / 2.0 ** np.arange(5)
-        with self.slopes(CONVERGED) as one:
+        steps = 8e-3 / 2.0 ** np.arange(4)
+        with self.slopes({"share": 0.3, "speed": 0.25, "tolerance": 1e-8}) as one:
             pairs = [[one.run(friction=FRICTION + sign * h) for sign in (1, -1)] for h in steps]
         result = {}
         for name in FUNCTIONALS:
