@@ -49,11 +49,11 @@ SETTINGS: dict[str, list[dict]] = {
     "local damping": [{"damping": "local", "share": 0.7, "speed": v} for v in (1, 2, 4)],
     "lattice load, closed form": [{"lattice": True, "speed": v} for v in (1, 2, 4, 8)],
 }
-FAST = {"share": 0.8, "beta": 0.02, "tolerance": 1e-2, "strain": 0.004}
+FAST = {"share": 0.8, "beta": 0.02, "tolerance": 3e-2, "strain": 0.004}
 SETTINGS["all together"] = [FAST | {"speed": v} for v in (0.7, 1, 1.5, 2, 3, 3.5, 4, 6)]
 SETTINGS["all together, float32"] = [FAST | {"dtype": "float32", "speed": v} for v in (0.7, 1, 1.5, 2, 3, 3.5, 4, 6)]
 PEER_SPEEDS = (0.7, 1, 1.5, 2, 3, 4, 6)
-PEER_SHARES = {"dashpot": (0.6, 0.8), "local": (0.6, 0.75)}  # of the critical step of that damping; 0.8 fails YADE
+PEER_SHARES = {"dashpot": (0.8, 0.6, 0.3), "local": (0.75, 0.5, 0.25)}  # of the critical step of that damping
 DIFFERENCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 1e-5)
 FUNCTIONALS = {"window": "mean from 0.25 to 0.5 % strain", "peak": "hard maximum"}
 SLOPE_STRAIN = 0.0055  # covers the window
@@ -177,21 +177,19 @@ class Study:
         with tempfile.TemporaryDirectory() as folder:
             scene, facts = Path(folder) / "scene.npz", None
             for code in (code for code in (LAMMPS, YADE) if code not in missing()):
-                lines = [
-                    (damping, share, 1)
-                    for damping in (("dashpot", "local") if code == LAMMPS else ("local",))
-                    for share in PEER_SHARES[damping]
-                ]
-                if code == LAMMPS and len(first_cores(2)) == 2:  # threads only slow YADE down
-                    lines += [(damping, share, 2) for damping, share, _ in lines]
-                for damping, share, cores in lines:
-                    for speed in PEER_SPEEDS:
-                        name = f"{code}: {damping}, step {share:g}, {cores} core(s): speed {speed:g}"
-                        if name in self.points:
-                            continue
-                        facts = facts or self.scene(scene)
-                        arguments = (code, scene, facts, damping, share, speed, cores, self.repeats)
-                        self.point(name, lambda a=arguments: self.peer(*a))
+                # Threads only slow YADE down.
+                cores = (1, 2) if code == LAMMPS and len(first_cores(2)) == 2 else (1,)
+                for damping in ("dashpot", "local") if code == LAMMPS else ("local",):
+                    largest, *smaller = PEER_SHARES[damping]
+                    for count in cores:
+                        wanted = [(largest, speed) for speed in PEER_SPEEDS]
+                        wanted += [(share, 1) for share in smaller] if count == 1 else []
+                        for share, speed in wanted:
+                            name = f"{code}: {damping}, {count} core(s): step {share:g}, speed {speed:g}"
+                            if name not in self.points:
+                                facts = facts or self.scene(scene)
+                                arguments = (code, scene, facts, damping, share, speed, count, self.repeats)
+                                self.point(name, lambda a=arguments: self.peer(*a))
 
     def slopes(self, setting: dict, **options) -> Ours:
         settings = options_of({"strain": SLOPE_STRAIN} | setting, self.layers)
@@ -354,22 +352,28 @@ def log_axes(axes, x: str, y: str) -> None:
 
 
 def put_labels(axes, labels: list[tuple[float, float, str, str]]) -> None:
-    """Labels beside points (x, y, text, colour), pushed apart where they would overlap (call once limits are set)."""
-    pixels = axes.transData.transform([(x, y) for x, y, *_ in labels])
-    order = np.argsort(pixels[:, 1])
-    taken: list[tuple[float, float, float]] = []
+    """Labels beside points (x, y, text, colour), moved up or down where they would overlap (once limits are set)."""
+    from matplotlib.patheffects import withStroke
+
     scale = axes.figure.dpi / 72
-    for i in order:
-        x, y, text, colour = labels[i]
-        px, py = pixels[i]
-        width, height = 4.6 * len(text) * scale, 11 * scale
-        at = py
-        while any(abs(at - other) < height and px < end and start < px + width for other, start, end in taken):
-            at += 2
-        taken.append((at, px, px + width))
+    box = axes.get_window_extent()
+    taken: list[tuple[float, float, float]] = []
+
+    def free(at, start, end):
+        clear = all(abs(at - y) >= 11 * scale or start > right or end < left for y, left, right in taken)
+        return clear and box.y0 + 5 * scale < at < box.y1 - 5 * scale
+
+    for x, y, text, colour in sorted(labels, key=lambda label: label[0]):
+        px, py = axes.transData.transform((x, y))
+        start, end = px + 7 * scale, px + (7 + 4.7 * len(text)) * scale
+        shifts = [sign * 3 * scale * n for n in range(150) for sign in (1, -1)]
+        shift = next((d for d in shifts if free(py + d, start, end)), 0.0)
+        taken.append((py + shift, start, end))
+        far = abs(shift) > 8 * scale
         axes.annotate(
-            text, (x, y), xytext=(7, (at - py) / scale), textcoords="offset points", color=colour, fontsize=8,
-            va="center", arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.5} if at - py > height else None,
+            text, (x, y), xytext=(7, shift / scale), textcoords="offset points", color=colour, fontsize=8,
+            va="center", arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.5} if far else None,
+            path_effects=[withStroke(linewidth=2, foreground="white")],
         )  # fmt: skip
 
 
@@ -385,11 +389,13 @@ def draw_peaks(study: Study, path: Path) -> None:
     default = ours.pop(DEFAULTS, [None])[0]
     labels: tuple[list, list] = ([], [])
 
-    def line(axes, points, colour, marker, text, **style):
+    def line(axes, points, colour, marker, text, size=6, **style):
         x, y = np.array([(seconds, max(error, LEAST)) for seconds, error, _ in sorted(points)]).T
-        axes.plot(x, y, color=colour, marker=marker, ms=6, lw=1.2, **style)
-        end = int(np.argmax(y)) if axes is left else 0
-        labels[axes is right].append((x[end], y[end], text, colour))
+        axes.plot(x, y, color=colour, marker=marker, ms=size, lw=size / 5, **style)
+        away = np.log(x / default[0]) ** 2 + np.log(y / default[1]) ** 2 if default and axes is left else x / y
+        end = int(np.argmax(away))
+        if text:
+            labels[axes is right].append((x[end], y[end], text, colour))
 
     for knob, points in ours.items():
         colour, marker = KNOB_STYLE.get(knob, (GREY, "o"))
@@ -398,11 +404,16 @@ def draw_peaks(study: Study, path: Path) -> None:
         line(left, points + through, colour, marker, knob, ls="--" if "all together" in knob else "-")
     for code, colour in (("ours", BLUE), (LAMMPS, RED), (YADE, GREEN)):
         for name, points in study.lines(code).items() if code != "ours" else ():
-            damping, share, cores = name.split(", ")
-            filled = {"mfc": "white"} if cores.startswith("2") else {}
-            style = {"ls": ":" if damping == "local" else "-", "alpha": 0.8, **filled}
-            text = f"{code}, {damping}, {share}" + (", 2 cores" if cores.startswith("2") else "")
-            line(right, points, colour, "s" if code == LAMMPS else "^", text, **style)
+            damping, cores = name.split(", ")
+            style = {"mfc": "white"} if cores.startswith("2") else {}
+            style |= {"ls": ":" if damping == "local" else "-", "alpha": 0.8}
+            largest = PEER_SHARES[damping][0]
+            by_speed = [point for point in points if study.points[point[2]]["setting"]["share"] == largest]
+            by_step = [point for point in points if study.points[point[2]]["setting"]["speed"] == 1]
+            text = f"{code}, {damping}" + (", 2 cores" if cores.startswith("2") else "")
+            line(right, by_speed, colour, "s" if code == LAMMPS else "^", text, **style)
+            if len(by_step) > 1:
+                line(right, by_step, colour, "x", "", 4, **(style | {"mfc": None}))
         if code == "ours" and (front := study.front(code)):
             for _, points in ours.items():
                 right.plot(*np.array([(s, max(e, LEAST)) for s, e, _ in points]).T, ".", color=BLUE, alpha=0.25)
@@ -413,15 +424,18 @@ def draw_peaks(study: Study, path: Path) -> None:
     for axes, which in ((left, 0), (right, 1)):
         if default is not None:
             axes.plot(default[0], max(default[1], LEAST), "o", ms=15, mfc="none", mec=BLACK, mew=2)
-            labels[which].append((default[0], max(default[1], LEAST) / 1.5, "our defaults", BLACK))
+            labels[which].append((default[0], max(default[1], LEAST), "   our defaults", BLACK))
         log_axes(axes, "seconds, one core unless said, compiled", "")
         axes.axhline(1.0, color=GREY, lw=0.7), axes.axhline(0.1, color=GREY, lw=0.7)
-        axes.set_ylim(LEAST / 1.5, None)
         low, high = axes.get_xlim()
         axes.set_xlim(low / 1.1, high * (2.2 if axes is left else 3.0))
     left.set_ylabel("error of the peak stress ratio [%]")
     left.set_title("Every knob of the simulator, one at a time from the defaults", loc="left", fontsize=11)
-    right.set_title("Full cylinder in LAMMPS and YADE (shear alone), our quarter (whole test)", loc="left", fontsize=11)
+    right.set_title(
+        "Full cylinder in LAMMPS and YADE (shear alone), our quarter (whole test)\n"
+        "lines: platen speed at the largest step; crosses: time step at the paper's speed",
+        loc="left", fontsize=11,
+    )  # fmt: skip
     figure.canvas.draw()
     for axes, wanted in ((left, labels[0]), (right, labels[1])):
         if wanted:
@@ -451,9 +465,11 @@ def draw_gradients(study: Study, path: Path) -> None:
             x, y = np.array([point[:2] for point in points]).T
             connected = "-" if line in styles else ""
             axes.plot(x, y, color=colour, marker=marker, ls=connected, lw=1.2, ms=7)
-            labels += [
-                (s, e, f"{line.split(',')[0] if line not in styles else line}, {text}", colour) for s, e, text in points
-            ]
+            if line in styles:
+                labels += [(s, e, f"{line}, {text}", colour) for s, e, text in points]
+            else:  # the h of every difference, and at the worst what they are
+                worst = max(points, key=lambda point: point[1])
+                labels += [(s, e, text + (f" ({line})" if text == worst[2] else ""), colour) for s, e, text in points]
         log_axes(axes, "seconds of the shear, one core, compiled", "")
         low, high = axes.get_xlim()
         axes.set_xlim(low / 1.2, high * 2)
