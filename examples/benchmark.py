@@ -72,7 +72,10 @@ class Bench:
         if time.monotonic() > self.ends:
             return print(f"{name}: left out, the budget is spent", flush=True)
         began = time.monotonic()
-        self.groups[name] = measure()
+        try:
+            self.groups[name] = measure()
+        except RuntimeError as error:
+            return print(f"{name}: failed and left out: {error}", flush=True)
         self.write()
         print(f"{name}: {time.monotonic() - began:.0f} s", flush=True)
 
