@@ -12,7 +12,7 @@ points from the ball's current position to the axis: with directions frozen at t
 spin up about its axis. It has no vertical component, so it does not follow a barrelling specimen's slope.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp

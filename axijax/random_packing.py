@@ -272,8 +272,10 @@ def _sought(compacted, void_ratio: float, tolerance: float):
 
 
 def _container(radius: np.ndarray, sector: Sector, aspect_ratio: float, solid_fraction: float):
-    """Radius and height of a cylinder that these balls fill to a solid fraction, counted without the looser layer along walls and
-    the core that no ball between close planes can reach [L]."""
+    """Radius and height of a cylinder that these balls fill to a solid fraction [L].
+
+    Counted without the looser layer along walls, and the core that no ball between close planes can reach.
+    """
     solid, mean = sector.order * (4 / 3) * np.pi * (radius**3).sum(), radius.mean()
     core = 0.8 * max(mean / np.sin(np.pi / sector.order) - mean, 0.0) if sector.order > 2 else 0.0
     side = 1.5 * (solid / (2 * np.pi * aspect_ratio * solid_fraction)) ** (1 / 3) + core + 2 * mean
@@ -307,7 +309,7 @@ def _grown(radius: np.ndarray, sector: Sector, aspect_ratio: float, solid_fracti
         return place
 
     skin = 0.6 * radius.mean()
-    pairs, listed = None, place
+    pairs, listed, sized = None, place, radius
     for growth in np.concatenate([np.linspace(0.4, 1.0, 150), np.ones(450)]):
         size = growth * radius
         if pairs is None or 2 * np.sqrt(((place - listed) ** 2).sum(0).max()) + 2 * (size - sized).max() > skin:
@@ -393,7 +395,9 @@ def _whole_cylinder(cut: Specimen, sector: Sector) -> Specimen:
     """The sector's balls and their n rotations."""
     turns = np.repeat(np.arange(sector.order), len(cut))
     copies = np.tile(np.arange(len(cut)), sector.order)
-    home = sector.rotate(cut.positions, sector.home_image(cut.positions)) if sector.boundary == "periodic" else cut.positions
+    home = cut.positions
+    if sector.boundary == "periodic":
+        home = sector.rotate(home, sector.home_image(home))
     return replace(
         cut,
         positions=sector.rotate(home[:, copies], turns),
