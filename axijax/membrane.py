@@ -2,9 +2,9 @@
 
 The outer balls carry inward radial forces s3 * A_i. A_i is the area of ball i's Voronoi cell on the cylinder
 through the middle of the membrane zone, unfolded to x' = theta * Rm, z' = z, with Rm = (rho_min + rho_max) / 2 of
-the zone's balls. (Of a zone found by exposure Rm is the mean of rho: a single ball deep in a pore of a random
-specimen would shift the middle, and with it the stress, by 5 to 15 %.) The cells are periodic in x' with period 2*pi*Rm/n (mirrored at rigid sector planes) and cut at
-the platens by mirror points, so that they tile the strip exactly.
+the zone's balls. (Of a zone found by exposure Rm is the mean of rho: in a random specimen one ball in a pore would
+shift the middle by 5 to 15 %, and the stresses with it.) The cells are periodic in x' with period 2*pi*Rm/n (mirrored
+at rigid sector planes) and cut at the platens by mirror points, so that they tile the strip exactly.
 
 SciPy triangulates the zone on the host (`build_membrane`); from that triangulation `cell_areas` finds the cells'
 areas at later positions inside jit, with exact derivatives, and `membrane_force` consumes the areas. The force
@@ -13,6 +13,7 @@ spin up about its axis. It has no vertical component, so it does not follow a ba
 """
 
 from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -71,12 +72,87 @@ def build_membrane(
 ) -> Membrane:
     """Triangulate the membrane zone on the unfolded cylinder (host, SciPy's Delaunay).
 
-    triangles, balls: numbers of triangles and of zone balls to pad to, so that a rebuilt membrane keeps its shape;
-        None takes what is needed. Padding repeats the zone's first ball, with no share of a cell and not counted.
+    triangles, balls: numbers of triangles T and of zone balls Z to pad to, so that a rebuilt membrane keeps its shape;
+        None takes what is needed. A zone is padded with its first ball, which then has no further share.
 
     Raises ValueError where the zone is empty, a zone ball is on the axis, two zone balls share one place on the
     cylinder (their cells would be undefined), or triangles or balls is too small.
     """
+    return jax.tree.map(jnp.asarray, membrane_arrays(specimen, sector, triangles, dtype, balls))
+
+
+def membrane_arrays(specimen: Specimen, sector: Sector, triangles: int | None, dtype, balls: int | None) -> Membrane:
+    """`build_membrane` in NumPy arrays, for use where JAX must not be called."""
+    unfolded = unfold(specimen, sector)
+    zone, theta, corners, owners, codes = (
+        unfolded.zone, unfolded.theta, unfolded.corners, unfolded.owners, unfolded.codes
+    )  # fmt: skip
+    celled = np.isin(np.arange(zone.size), owners[corners[codes[5][corners] > 0]])
+    if not celled.all():
+        raise ValueError(
+            f"membrane_zone: ball {zone[~celled][0]} lies at the same place of the unfolded cylinder as another zone "
+            "ball, so it has no Voronoi cell; mark only one of them."
+        )
+    needed = corners.shape[1]
+    if triangles is not None and triangles < needed:
+        raise ValueError(f"triangles = {triangles}: the membrane needs {needed}; allow at least that many.")
+    if balls is not None and balls < zone.size:
+        raise ValueError(f"balls = {balls}: the membrane zone holds {zone.size}; allow at least that many.")
+    ends = np.sort(np.stack([corners[[1, 2]], corners[[2, 0]], corners[[0, 1]]], axis=1), axis=0)
+    _, edge = np.unique(ends.reshape(2, -1), axis=1, return_inverse=True)
+    edge = edge.reshape(3, -1)
+    edges: Any = np.concatenate([edge, np.full((3, (triangles or needed) - needed), edge.max() + 1)], 1)
+    edge_inside = np.bincount(edge.ravel(), minlength=3 * (triangles or needed)) == 2
+    pad = np.zeros((triangles or needed) - needed, int)  # padding repeats a triangle that nobody owns
+    unowned = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])[:, None, None]
+    code = np.concatenate([codes[:, corners], codes[:, corners[:, pad]] * unowned], axis=2)
+    spare = (balls or zone.size) - zone.size
+    again = np.concatenate([np.arange(zone.size), np.zeros(spare, int)])
+    first = np.arange(again.size) < zone.size
+    angle: Any = np.asarray(sector.angle, dtype)
+    direction: Any = unfolded.direction[:, again]
+    return Membrane(
+        zone=zone[again].astype(np.int32),
+        angle=theta[again].astype(dtype),
+        direction=direction.astype(dtype),
+        share=(unfolded.share[again] * first).astype(dtype),
+        corner=owners[np.concatenate([corners, corners[:, pad]], 1)].astype(np.int32),
+        turn_sign=code[0].astype(dtype),
+        turn_shift=code[1].astype(dtype),
+        flip_sign=code[2].astype(dtype),
+        flip_bottom=code[3].astype(dtype),
+        flip_top=code[4].astype(dtype),
+        owned=code[5].astype(dtype),
+        edge=edges.astype(np.int32),
+        edge_inside=edge_inside,
+        counted=unfolded.counted[again] & first,
+        sector_angle=angle,
+        zone_rule=specimen.zone_rule,
+    )
+
+
+class Unfolded(NamedTuple):
+    """The zone's Z balls on the unfolded cylinder (host).
+
+    zone: (Z,) which balls; theta: (Z,) their angles [rad]; direction: (2, Z) those as unit vectors.
+    counted: (Z,) which of them Rm is taken over; radius: Rm [L].
+    places, codes, owners, share: the balls and their copies, see `unfolded_copies`.
+    corners: (3, T) triangles between them.
+    """
+
+    zone: np.ndarray
+    theta: np.ndarray
+    direction: np.ndarray
+    counted: np.ndarray
+    radius: float
+    places: np.ndarray
+    codes: np.ndarray
+    owners: np.ndarray
+    share: np.ndarray
+    corners: np.ndarray
+
+
+def unfold(specimen: Specimen, sector: Sector) -> Unfolded:
     zone = np.flatnonzero(specimen.membrane_zone)
     points = specimen.positions[:, zone]
     if zone.size == 0:
@@ -96,43 +172,7 @@ def build_membrane(
         before, counted = counted, _within_surface(rho, specimen.radius[zone], owners[corners])
         if (before == counted).all():
             break
-    celled = np.isin(np.arange(zone.size), owners[corners[codes[5][corners] > 0]])
-    if not celled.all():
-        raise ValueError(
-            f"membrane_zone: ball {zone[~celled][0]} lies at the same place of the unfolded cylinder as another zone "
-            "ball, so it has no Voronoi cell; mark only one of them."
-        )
-    needed = corners.shape[1]
-    if triangles is not None and triangles < needed:
-        raise ValueError(f"triangles = {triangles}: the membrane needs {needed}; allow at least that many.")
-    if balls is not None and balls < zone.size:
-        raise ValueError(f"balls = {balls}: the membrane needs {zone.size}; allow at least that many.")
-    extra = (balls or zone.size) - zone.size
-    ends = np.sort(np.stack([corners[[1, 2]], corners[[2, 0]], corners[[0, 1]]], axis=1), axis=0)
-    _, edge = np.unique(ends.reshape(2, -1), axis=1, return_inverse=True)
-    edge = edge.reshape(3, -1)
-    edge_inside = np.bincount(edge.ravel(), minlength=3 * (triangles or needed)) == 2
-    pad = np.zeros((triangles or needed) - needed, int)  # padding repeats a triangle that nobody owns
-    unowned = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])[:, None, None]
-    code = np.concatenate([codes[:, corners], codes[:, corners[:, pad]] * unowned], axis=2)
-    return Membrane(
-        zone=jnp.asarray(np.append(zone, np.full(extra, zone[0])).astype(np.int32)),
-        angle=jnp.asarray(np.append(theta, np.full(extra, theta[0])).astype(dtype)),
-        direction=jnp.asarray(np.pad(points[:2] / rho, ((0, 0), (0, extra))).astype(dtype)),
-        share=jnp.asarray(np.append(share, np.zeros(extra)).astype(dtype)),
-        corner=jnp.asarray(owners[np.concatenate([corners, corners[:, pad]], 1)].astype(np.int32)),
-        turn_sign=jnp.asarray(code[0].astype(dtype)),
-        turn_shift=jnp.asarray(code[1].astype(dtype)),
-        flip_sign=jnp.asarray(code[2].astype(dtype)),
-        flip_bottom=jnp.asarray(code[3].astype(dtype)),
-        flip_top=jnp.asarray(code[4].astype(dtype)),
-        owned=jnp.asarray(code[5].astype(dtype)),
-        edge=jnp.asarray(np.concatenate([edge, np.full((3, pad.size), edge.max() + 1)], 1).astype(np.int32)),
-        edge_inside=jnp.asarray(edge_inside),
-        counted=jnp.asarray(np.append(counted, np.zeros(extra, bool))),
-        sector_angle=jnp.asarray(sector.angle, dtype),
-        zone_rule=specimen.zone_rule,
-    )
+    return Unfolded(zone, theta, points[:2] / rho, counted, middle, places, codes, owners, share, corners)
 
 
 def middle_radius(rho: np.ndarray, zone_rule: ZoneRule) -> float:

@@ -53,6 +53,7 @@ from axijax.neighbors import Network, build_network
 from axijax.observe import Observation, observe
 from axijax.packing import Specimen, cut_to_sector
 from axijax.sector import Sector, radial_distance
+from axijax.update import FULL_LIST, Grid, grid_for, renew
 
 SEGMENT = 1000  # steps between looks at the run from outside: progress, rebuilding, errors
 CHATTER = 1e-3  # `observe.chatter` of a sound run is below zero; above this, contacts chatter
@@ -67,11 +68,15 @@ REMEDIES = {
     STALE_LIST: (
         "a ball moved more than half the skin of the contact list before it was rebuilt, so a contact may have been "
         "missed; stop at a smaller axial_strain (past its peak a specimen may collapse), and beyond 2 % use `run`, "
-        "which rebuilds the list, not `simulate`, which keeps it"
+        "which rebuilds the list, or a smaller rebuild_every for `simulate`, which keeps it if that is zero"
     ),
     STALE_CELLS: (
         "the membrane's balls have moved past one another since it was triangulated; stop at a smaller axial_strain, "
-        "and beyond 2 % use `run`, which triangulates again, not `simulate`"
+        "and beyond 2 % use `run`, which triangulates again, or a smaller rebuild_every for `simulate`"
+    ),
+    FULL_LIST: (
+        "a ball has more neighbours, or the membrane more balls, than a list that is made anew inside `simulate` has "
+        "room for; use `run`, which makes room, or stop at a smaller axial_strain"
     ),
     ESCAPED: "a ball has left the membrane or passed a platen; lower time_step or stop at a smaller axial_strain",
     UNSTABLE: (
@@ -125,12 +130,15 @@ class Protocol:
     blocks, block_steps: the shear runs blocks * block_steps steps and records after each block.
     refresh: find the membrane's cells again with every record; otherwise they keep their first areas.
     limits: of confinement.
+    rebuild_every, grid: make the lists anew each time after so many blocks, by this grid; zero keeps them.
     """
 
     blocks: int
     block_steps: int = 50
     refresh: bool = True
     limits: Limits = Limits()  # noqa: RUF009 (immutable)
+    rebuild_every: int = 0
+    grid: Grid | None = None
 
 
 @dataclass(frozen=True)
@@ -147,6 +155,8 @@ class TriaxialTest:
     refresh: whether they are found again at all.
     confine_steps: most steps spent on confinement.
     tolerance: unbalanced force and stress error at which confinement ends [-].
+    rebuild_every: records between which `simulate` makes contact list and membrane anew during shear, for large strain
+        and for batches; zero keeps the first. `run` looks when they are worn instead.
     confining_friction: friction coefficient during confinement [-]; zero, the paper's, lets a packing become as dense
         as it can. A random specimen keeps its density under the friction with which it was compacted.
     lateral_load: a constant load in place of the membrane's (see `membrane.Load`).
@@ -166,6 +176,7 @@ class TriaxialTest:
     refresh: bool = True
     confine_steps: int = 20_000
     tolerance: float = 1e-7
+    rebuild_every: int = 0
     confining_friction: float = 0.0
     lateral_load: Load | None = None
     dtype: type = np.float64
@@ -185,13 +196,17 @@ class TriaxialTest:
             raise ValueError(f"platen_speed = {self.params.platen_speed!r}: must be positive, inward.")
         if isinstance(self.record_every, bool) or not isinstance(self.record_every, int) or self.record_every < 1:
             raise ValueError(f"record_every = {self.record_every!r}: must be a whole number of steps >= 1.")
+        if isinstance(self.rebuild_every, bool) or not isinstance(self.rebuild_every, int) or self.rebuild_every < 0:
+            raise ValueError(
+                f"rebuild_every = {self.rebuild_every!r}: must be a whole number of records, or zero to keep the lists."
+            )
         if not self.confine_steps >= 1:
             raise ValueError(f"confine_steps = {self.confine_steps!r}: must be at least 1 step.")
         if not (np.isfinite(self.tolerance) and self.tolerance > 0):
             raise ValueError(f"tolerance = {self.tolerance!r}: must be positive and finite [-].")
         if not (np.isfinite(self.confining_friction) and self.confining_friction >= 0):
             raise ValueError(f"confining_friction = {self.confining_friction!r}: must be zero or positive [-].")
-        if cut.zone_rule == "exposure":
+        if cut.zone_rule == "exposure" or self.rebuild_every:
             network, membrane = roomy_lists(cut, self.sector, self.dtype)
         else:
             network = build_network(cut, self.sector, dtype=self.dtype)
@@ -216,6 +231,8 @@ class TriaxialTest:
                 block_steps=self.record_every,
                 refresh=self.refresh,
                 limits=Limits(float(self.confining_friction), self.tolerance, self.confine_steps),
+                rebuild_every=self.rebuild_every,
+                grid=grid_for(network) if self.rebuild_every else None,
             ),
         }
         for name, value in prepared.items():
@@ -224,8 +241,8 @@ class TriaxialTest:
     def simulate(self, params: Params) -> Curve:
         """The whole test as a pure function of its parameters, for jax.jit, jax.vmap and jax.jvp.
 
-        One contact list serves the whole test, which is right up to about 2 % strain. Look at `status` of what comes
-        back, or call `raise_for_status`.
+        One contact list serves the whole test, which is right up to about 2 % strain, unless `rebuild_every` asks for
+        more. Look at `status` of what comes back, or call `raise_for_status`.
         """
         return _simulate(self.scene, self.protocol, self._numbers(self.network, self.membrane), params)
 
@@ -404,9 +421,29 @@ def _shear(scene: Scene, protocol: Protocol, numbers, params: Params, state: Sta
 
     fixed: the lateral load where it does not follow the membrane's cells.
     """
+    if protocol.rebuild_every:
+        return _shear_rebuilding(scene, protocol, numbers, params, state, fixed)
     # Reverse mode keeps the state before each block and runs the block again on the way back.
     block = jax.checkpoint(_shear_block(scene, protocol, numbers, params, fixed), prevent_cse=False)
     state, (seen, status) = jax.lax.scan(block, state, None, length=protocol.blocks)
+    return state, seen, status
+
+
+def _shear_rebuilding(scene: Scene, protocol: Protocol, numbers, params: Params, state: State, fixed: Load | None):
+    """As `_shear`, with contact list and membrane made anew each time after protocol.rebuild_every blocks."""
+    network, membrane, *others = numbers
+    stretch = replace(protocol, blocks=protocol.rebuild_every, rebuild_every=0)
+
+    def further(carry, _):
+        network, membrane, state = carry
+        state, seen, status = _shear(scene, stretch, (network, membrane, *others), params, state, fixed)
+        network, membrane, state, bits = renew(protocol.grid, network, membrane, state)
+        return (network, membrane, state), (seen, status | bits)
+
+    start = network, membrane, state
+    stretches = -(-protocol.blocks // protocol.rebuild_every)
+    (_, _, state), (seen, status) = jax.lax.scan(further, start, None, length=stretches)
+    seen, status = jax.tree.map(lambda values: values.reshape(-1, *values.shape[2:])[: protocol.blocks], (seen, status))
     return state, seen, status
 
 

@@ -1,4 +1,5 @@
 """Which balls carry the membrane: in a random specimen those that can be seen from outside (host).
+And the zone's cells as polygons, for pictures.
 
 A ball is looked at along radial lines, from far outside to the axis, through points spread evenly over its disc. It
 is an outer ball where at least SIGHT of them meet it first, the one through its centre among them: so no two outer
@@ -8,9 +9,12 @@ narrow pore is not loaded (DEEP), and no wide part of the surface is left withou
 On the FCC octagon of Cui & O'Sullivan (2005) this gives the zone of their paper, 138 balls in the quarter.
 """
 
-import numpy as np
+from typing import NamedTuple
 
-from axijax.membrane import middle_radius, neighbours_median, surface_triangles, unfolded_copies
+import numpy as np
+from scipy.spatial import Voronoi
+
+from axijax.membrane import middle_radius, neighbours_median, surface_triangles, unfold, unfolded_copies
 from axijax.packing import Specimen, ZoneRule
 from axijax.sector import Sector
 
@@ -137,7 +141,7 @@ def _fill_holes(zone, positions, reach, seen, bottom, top, sector: Sector, wides
     home = _home(positions, sector)
     while True:
         balls = np.flatnonzero(zone)
-        places, own, owners, middle = _unfolded(positions, balls, bottom, top, sector)
+        places, own, _, middle = _unfolded(positions, balls, bottom, top, sector)
         corners = surface_triangles(places, own)
         a, b, c = (places[:, corner] for corner in corners)
         u, v = b - a, c - a
@@ -161,3 +165,59 @@ def _fill_holes(zone, positions, reach, seen, bottom, top, sector: Sector, wides
                 break
         else:
             return
+
+
+class Cells(NamedTuple):
+    """The membrane's Voronoi cells on the unfolded cylinder, for pictures (host).
+
+    balls: (Z,) the balls of the zone, in the order of what follows.
+    places: (2, Z) their places x' = theta * Rm in [0, width) and z [L].
+    polygons: Z arrays (M, 2), the corners of each cell counter-clockwise [L]. Between periodic planes a cell may reach
+        beyond x' = 0 or width; shifted by width it closes the gap on the other side.
+    areas: (Z,) areas of the cells [L^2]; they add up to width times height.
+    radius, width: Rm, and the length of the sector's strip [L].
+    """
+
+    balls: np.ndarray
+    places: np.ndarray
+    polygons: list[np.ndarray]
+    areas: np.ndarray
+    radius: float
+    width: float
+
+
+def cell_polygons(specimen: Specimen, sector: Sector) -> Cells:
+    """The cells of a specimen's membrane zone, as cut to the sector, at its present positions.
+
+    Raises ValueError as `build_membrane` does.
+    """
+    flat = unfold(specimen, sector)
+    width = flat.radius * sector.angle
+    diagram = Voronoi(flat.places.T)
+    own = np.flatnonzero(flat.codes[5] > 0)
+    own = own[np.argsort(flat.owners[own])]
+    polygons, areas = [], np.zeros(own.size)
+    for ball, place in enumerate(own):
+        corners = diagram.vertices[diagram.regions[diagram.point_region[place]]]
+        around = corners - flat.places[:, place]
+        corners = corners[np.argsort(np.arctan2(around[:, 1], around[:, 0]))]
+        if flat.share[ball] < 1:  # a centre on a platen or a rigid plane: the cell is cut there
+            corners = _cut(_cut(corners, 1, specimen.bottom, 1), 1, specimen.top, -1)
+            if sector.boundary == "rigid":
+                corners = _cut(_cut(corners, 0, 0.0, 1), 0, width, -1)
+        polygons.append(corners)
+        x, y = corners.T
+        areas[ball] = (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2
+    return Cells(flat.zone, flat.places[:, own], polygons, areas, flat.radius, width)
+
+
+def _cut(corners, axis, at, sign):
+    """The part of a convex polygon (M, 2) where sign * (coordinate - at) >= 0."""
+    kept = []
+    for a, b in zip(corners, np.roll(corners, -1, 0), strict=True):
+        u, v = sign * (a[axis] - at), sign * (b[axis] - at)
+        if u >= 0:
+            kept.append(a)
+        if u * v < 0:
+            kept.append(a + (b - a) * (u / (u - v)))
+    return np.array(kept)

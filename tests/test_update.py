@@ -1,0 +1,219 @@
+"""The contact list found again inside jit, against the search of every ball against every image of every other."""
+
+from dataclasses import fields, replace
+from functools import partial
+from unittest import mock
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_neighbors import ANY_OVERLAP, every_pair, from_both_sides, listed, random_balls
+
+from axijax import triaxial
+from axijax.neighbors import build_network, carry_springs
+from axijax.packing import fcc_octagon
+from axijax.sector import Sector
+from axijax.triaxial import Params, TriaxialTest
+from axijax.update import FULL_LIST, NOT_FINITE, STALE_LIST, Grid, allocate, update
+from axijax.vector import from_rows
+
+SKIN = 0.3
+WIDTH, CONTACTS = 124, 624  # enough for every order: few programs are compiled
+GRID = Grid((5, 5, 4), 90)
+
+jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+found_again = jit(update, static_argnums=0)
+
+
+def scene(order, dtype=np.float64, boundary="periodic", seed=0):
+    """Balls of unequal size, some on the axis and many near it, and a motion of 0.4 skins at most."""
+    sector = Sector(order, boundary)
+    specimen = random_balls(order, seed, on_axis=2 if boundary == "periodic" else 0)
+    rng = np.random.default_rng(seed + 1)
+    moves = rng.normal(size=specimen.positions.shape)
+    moves *= 0.4 * SKIN * rng.uniform(size=25) / np.linalg.norm(moves, axis=0)
+    moves[2] = np.clip(specimen.positions[2] + moves[2], -3, 3) - specimen.positions[2]
+    moves[:, (np.hypot(*specimen.positions[:2]) == 0) & (sector.images > 1)] *= [[0], [0], [1]]
+    network = build_network(specimen, sector, SKIN, WIDTH, CONTACTS, ANY_OVERLAP, dtype)
+    return specimen, sector, network, moves.astype(dtype).astype(float)
+
+
+@pytest.mark.parametrize("order, boundary", [*((order, "periodic") for order in range(1, 13)), (3, "rigid")])
+def test_updated_list_is_that_of_every_pair_and_of_the_host(order, boundary):
+    """The same pairs as a search over all images; in every array the list that the host builds; springs as it carries
+    them; and each contact acts on both its balls."""
+    specimen, sector, network, moves = scene(order, boundary=boundary, seed=2 if boundary == "rigid" else 0)
+    springs = from_rows(np.random.default_rng(5).normal(size=(3, CONTACTS)))
+    made, carried, bits = found_again(GRID, network, from_rows(moves), springs)
+    assert int(bits) == 0
+    after = replace(specimen, positions=specimen.positions + moves)
+    pairs = every_pair(after, sector.images, SKIN)
+    on_axis = (np.hypot(*specimen.positions[:2]) == 0) & (sector.images > 1)
+    both = list(from_both_sides(listed(made), on_axis, sector.images))
+    assert len(both) == len(set(both)) and set(both) == set(pairs)
+    assert set(listed(made)) != set(listed(network)), "the motion must change the list"
+    host = build_network(after, sector, SKIN, WIDTH, CONTACTS, ANY_OVERLAP)
+    for name in (field.name for field in fields(host) if field.name != "sector"):
+        ours, theirs = np.asarray(getattr(made, name)), np.asarray(getattr(host, name))
+        assert ours.dtype == theirs.dtype
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-14, err_msg=name)
+    np.testing.assert_array_equal(np.asarray(carried), np.asarray(carry_springs(network, host, springs)))
+    force = made.sum_on_balls(made.branch * (made.image >= 0), reaction=-1)
+    expected = np.zeros((3, len(specimen)))
+    for (i, _, _), branch in pairs.items():
+        expected[:, i] += branch
+    np.testing.assert_allclose(np.asarray(force), expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", [1, 12])
+def test_float32_finds_the_same_contacts_and_keeps_overlaps(order):
+    """All but pairs within rounding of the reach are those of the search; overlaps of listed contacts follow the motion
+    to float32 rounding of the motion, not of the coordinates, here far from the origin."""
+    specimen, sector, network, moves = scene(order, np.float32)
+    lifted = specimen.positions + np.array([[0], [0], [5000]])
+    high = replace(specimen, positions=lifted, bottom=4990.0, top=5010.0)
+    network = build_network(high, sector, SKIN, WIDTH, CONTACTS, ANY_OVERLAP, np.float32)
+    made, _, bits = found_again(GRID, network, from_rows(moves.astype(np.float32)), None)
+    assert int(bits) == 0
+    after = replace(specimen, positions=specimen.positions + moves)
+    on_axis = (np.hypot(*specimen.positions[:2]) == 0) & (sector.images > 1)
+    both = set(from_both_sides(listed(made), on_axis, sector.images))
+    # Coordinates near 5000 are known to 2.4e-4.
+    assert (
+        set(every_pair(after, sector.images, SKIN - 2e-3)) <= both <= set(every_pair(after, sector.images, SKIN + 2e-3))
+    )
+    pairs = every_pair(after, sector.images, SKIN + 2e-3)
+    before, now = listed(network), listed(made)
+    overlap = np.asarray(made.overlap)
+    assert len(before.keys() & now.keys()) > 10
+    for i, j, k in before.keys() & now.keys():
+        exact = specimen.radius[i] + specimen.radius[j] - np.linalg.norm(pairs[i, j, k])
+        assert overlap[now[i, j, k]] == pytest.approx(exact, abs=2e-6)
+
+
+@pytest.mark.parametrize("order", [1, 4])
+def test_updates_in_a_row_are_one_update(order):
+    """Ten small moves, the list made again after each, end where one large move does: springs that stayed listed are
+    kept and those that left it are gone for good."""
+    specimen, sector, network, moves = scene(order, seed=3)
+    springs = from_rows(np.random.default_rng(5).normal(size=(3, CONTACTS)))
+    now, kept = network, springs
+    always = set(listed(network))
+    for _ in range(10):
+        now, kept, bits = found_again(GRID, now, from_rows(moves), kept)
+        assert int(bits) == 0
+        always &= set(listed(now))
+    after = replace(specimen, positions=np.asarray(now.positions), bottom=-9.0, top=9.0)
+    np.testing.assert_allclose(np.asarray(now.positions), specimen.positions + 10 * moves, rtol=0, atol=1e-13)
+    host = build_network(after, sector, SKIN, WIDTH, CONTACTS, ANY_OVERLAP)
+    assert listed(host) == listed(now)
+    np.testing.assert_allclose(np.asarray(now.branch), np.asarray(host.branch), rtol=0, atol=1e-12)
+    before, places = listed(network), listed(now)
+    expected = np.zeros((3, CONTACTS))
+    for key in always:
+        expected[:, places[key]] = np.asarray(springs)[:, before[key]]
+    np.testing.assert_array_equal(np.asarray(kept), expected)
+    assert 5 < len(always) < len(before)
+
+
+def test_whatever_goes_wrong_sets_a_bit():
+    specimen, sector, network, moves = scene(4)
+    springs, moves, still = (from_rows(values) for values in (np.zeros((3, CONTACTS)), moves, np.zeros((3, 25))))
+
+    def bits(network, moves, springs=springs, grid=GRID):
+        return int(found_again(grid, network, moves, springs)[2])
+
+    assert bits(network, replace(moves, x=moves.x.at[7].set(jnp.nan))) & NOT_FINITE
+    assert bits(network, replace(still, z=still.z.at[7].set(0.51 * SKIN))) == STALE_LIST
+    assert bits(network, moves, grid=Grid((5, 5, 4), 2)) == FULL_LIST
+
+    tight = build_network(specimen, sector, SKIN, largest_overlap=ANY_OVERLAP)
+    width, contacts = tight.slot.shape[0], int((np.asarray(tight.image) >= 0).sum())
+    larger = replace(specimen, radius=specimen.radius * 1.02)
+    more = build_network(larger, sector, SKIN, largest_overlap=ANY_OVERLAP)
+    assert more.slot.shape[0] > width and int((more.image >= 0).sum()) > contacts
+    for wide, length in ((width + 40, contacts + 1), (width, contacts + 90)):
+        enough = build_network(specimen, sector, SKIN, wide, length, ANY_OVERLAP)
+        assert bits(enough, still, None) == 0, "what is just enough is enough"
+        assert bits(replace(enough, radius=jnp.asarray(larger.radius)), still, None) == FULL_LIST
+
+
+def test_a_specimen_may_outgrow_its_grid():
+    """Cells at the border take what is outside: the contacts are still found."""
+    specimen, sector, network, moves = scene(4)
+    made, _, bits = found_again(Grid((3, 2, 1), 95), network, from_rows(moves), None)
+    assert int(bits) == 0
+    host = build_network(replace(specimen, positions=specimen.positions + moves), sector, SKIN, largest_overlap=1e9)
+    assert listed(made) == listed(host)
+
+
+def test_allocate_leaves_room():
+    specimen, sector, _, _ = scene(4)
+    network, grid = allocate(specimen, sector, SKIN, room=1.5, largest_overlap=ANY_OVERLAP)
+    tight = build_network(specimen, sector, SKIN, largest_overlap=ANY_OVERLAP)
+    assert network.slot.shape[0] >= 1.5 * tight.slot.shape[0] and network.first.size >= 1.5 * tight.first.size
+    assert listed(network) == listed(tight)
+    assert np.prod(grid.cells) > 1 and grid.capacity >= 3
+
+
+def test_derivatives_pass_through_an_update():
+    """Branches, overlaps, distances and springs have the tangents that central differences find, for listed contacts
+    and for new ones."""
+    _, _, network, moves = scene(4)
+    rng = np.random.default_rng(8)
+    along = rng.normal(size=moves.shape) * np.asarray(network.free)
+    springs, springs_along = (from_rows(rng.normal(size=(3, CONTACTS))) for _ in range(2))
+
+    def results(h):
+        displacement = from_rows(moves) + from_rows(along) * h
+        made, kept, _ = update(GRID, network, displacement, springs + springs_along * h)
+        return made.branch, made.distance, made.overlap, made.positions, kept
+
+    value_and_tangent = jit(lambda h: jax.jvp(results, (h,), (1.0,)))
+    h = 1e-6
+    tangent, ahead, behind = value_and_tangent(0.0)[1], value_and_tangent(h)[0], value_and_tangent(-h)[0]
+    names = "branch", "distance", "overlap", "positions", "springs"
+    for name, exact, above, below in zip(names, tangent, ahead, behind, strict=True):
+        difference = (np.asarray(above) - np.asarray(below)) / (2 * h)
+        assert np.abs(difference).max() > 0.1, name
+        np.testing.assert_allclose(np.asarray(exact), difference, rtol=0, atol=1e-7, err_msg=name)
+
+
+@pytest.fixture(scope="module")
+def shear():
+    """A small FCC test to 5 %: as `run` makes it, with lists made anew on the host, and value and tangent of `simulate`
+    with and without lists made anew inside."""
+    specimen, params = fcc_octagon(layers=7, half_width=3), Params(platen_speed=0.05)
+    kept = TriaxialTest(specimen, Sector(4), params=params, axial_strain=0.05, tolerance=1e-4)
+    renewed = replace(kept, rebuild_every=4)
+
+    def curve_and_tangent(test):
+        return jit(lambda f: jax.jvp(lambda f: test.simulate(replace(params, friction=f)), (f,), (1.0,)))(0.12278)
+
+    with pytest.MonkeyPatch.context() as patch:
+        rebuilt = mock.Mock(side_effect=triaxial.rebuilt)
+        patch.setattr(triaxial, "rebuilt", rebuilt)
+        run = kept.run().curve
+    assert rebuilt.call_count > 0, "the host must have made its lists anew"
+    return run, curve_and_tangent(kept), curve_and_tangent(renewed)
+
+
+def test_a_test_with_lists_made_anew_inside_is_that_of_the_host(shear):
+    run, _, (renewed, _) = shear
+    assert int(renewed.status) == 0
+    assert run.axial_strain[-1] > 0.049
+    np.testing.assert_allclose(renewed.stress_ratio[: run.stress_ratio.size], run.stress_ratio, rtol=1e-9)
+    np.testing.assert_allclose(renewed.membrane_radius[: run.stress_ratio.size], run.membrane_radius, rtol=1e-12)
+
+
+def test_tangents_pass_through_lists_made_anew(shear):
+    """As long as one list would do, value and tangent are those of the test that keeps it."""
+    _, (kept, kept_tangent), (renewed, tangent) = shear
+    valid = np.asarray(kept.axial_strain) < 0.008
+    assert valid.sum() > 8, "after several updates"
+    for ours, theirs in ((renewed, kept), (tangent, kept_tangent)):
+        for name in ("stress_ratio", "volumetric_strain"):
+            expected = np.asarray(getattr(theirs, name))[valid]
+            scale = np.abs(expected).max()
+            np.testing.assert_allclose(np.asarray(getattr(ours, name))[valid], expected, rtol=0, atol=1e-10 * scale)
