@@ -3,7 +3,7 @@
 1. Radii by quantiles of the grading, so that the grading is met as well as so many balls can; the seed shuffles them.
 2. Centres at random in the sector; small balls grow to their size while overlaps, images included, are pushed apart.
 3. Compaction by membrane and platens at the confining stress, with a friction that decides how dense the packing
-   becomes: none gives the densest, 0.5 nearly the loosest.
+   becomes: 0.05 gives a dense one, 0.5 nearly the loosest.
 
 Everything is made on the host but the compaction, which is the triaxial test's own confinement.
 """
@@ -23,7 +23,7 @@ from axijax.vector import from_rows
 from axijax.zone import outer_balls
 
 BEYOND = 1.5  # mean radii by which the balls reach beyond Rm, once compacted
-DENSEST, LOOSEST = 0.0, 0.5  # compaction frictions between which a void ratio is sought
+DENSEST, LOOSEST = 0.02, 0.5  # compaction frictions between which a void ratio is sought
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def random_cylinder(
     sector: Sector = Sector(1),  # noqa: B008 (frozen)
     grading: Grading | None = None,
     aspect_ratio: float = 2.0,
-    compaction_friction: float = 0.0,
+    compaction_friction: float = 0.05,
     void_ratio: float | None = None,
     void_ratio_tolerance: float = 0.005,
     seed: int = 0,
@@ -193,7 +193,8 @@ def random_cylinder(
     sector: of whose n rotations the specimen is made; between rigid planes it is compacted against them.
     grading: of the balls; None takes radii spread evenly from 16 to 24 [L].
     aspect_ratio: height over 2 Rm, met to some 10 % [-].
-    compaction_friction: between balls during compaction: 0 dense, 0.5 loose [-].
+    compaction_friction: between balls during compaction: 0.05 dense, 0.5 loose [-]. With none at all a packing is a
+        little denser, but cannot bear the least difference between membrane and platens, and may never settle.
     void_ratio: sought instead, by adjusting the compaction friction, to within void_ratio_tolerance [-].
     seed: of the random numbers; the same seed gives the same specimen to the last bit.
     params: stiffnesses, confining stress and density; None takes the defaults.
@@ -376,8 +377,9 @@ def _compacted(loose: Specimen, sector: Sector, friction: float, params: Params,
 
 
 def _void_ratio(cut: Specimen, sector: Sector, radius: float, bottom: float, top: float) -> float:
-    solid = inside_balls(sample_points(sector, radius, bottom, top), cut, sector).mean()
-    return float((1 - solid) / solid)
+    """Infinite where there is no ball, as in the core of a narrow sector of few balls."""
+    solid = float(inside_balls(sample_points(sector, radius, bottom, top), cut, sector).mean())
+    return (1 - solid) / solid if solid > 0 else np.inf
 
 
 def _sieves(grading: Grading, radius: np.ndarray) -> np.ndarray:
