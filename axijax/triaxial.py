@@ -48,7 +48,7 @@ from axijax.dynamics import (
     make_step,
     positions,
 )
-from axijax.membrane import Load, Membrane, build_membrane
+from axijax.membrane import Load, Membrane, build_membrane, membrane_radius
 from axijax.neighbors import Network, build_network
 from axijax.observe import Observation, observe
 from axijax.packing import Specimen, cut_to_sector
@@ -310,16 +310,21 @@ class TriaxialTest:
     def _go_on(self, now: "Progress") -> "Progress":
         """About 1000 steps further, or until a list is worn; lists that are worn are made anew first."""
         network, membrane, state = now.network, now.membrane, now.state
+        swelling = now.swelling
         if float(wear(network, membrane, state).max()) > 1:
+            radius_before = _radius_now(network, membrane, state)
             network, membrane, state = rebuilt(self.cut, network, membrane, state)
+            if self.cut.zone_rule == "exposure":
+                swelling *= radius_before / _radius_now(network, membrane, state)
         stretch = replace(self.protocol, blocks=-(-SEGMENT // self.record_every))
         numbers = self._numbers(network, membrane)
         state, seen, status, blocks = _shear_until_worn(self.scene, stretch, numbers, now.params, state, now.fixed)
         seen = jax.tree.map(lambda values: np.asarray(values)[: int(blocks)], seen)
+        seen = seen._replace(membrane_radius=seen.membrane_radius * swelling)
         records = jax.tree.map(np.append, now.records, seen)
         if int(status):
             raise_for_status(status, make_curve(records, now.confinement))
-        return now._replace(network=network, membrane=membrane, state=state, records=records)
+        return now._replace(network=network, membrane=membrane, state=state, records=records, swelling=swelling)
 
     def _numbers(self, network: Network, membrane: Membrane):
         platens = jnp.asarray([self.cut.bottom, self.cut.top])
@@ -332,6 +337,8 @@ class Progress(NamedTuple):
     fixed: the lateral load where it does not follow the membrane's cells.
     height: distance of the platens at the end of confinement [L].
     records: what was observed so far, T values each.
+    swelling: by which Rm is multiplied in the records of a zone found by exposure, so that balls that join or leave the
+        zone are no change of volume; what is left is the work of the membrane over s3 [-].
     """
 
     params: Params
@@ -342,6 +349,7 @@ class Progress(NamedTuple):
     confinement: Confinement
     height: float
     records: Observation
+    swelling: float = 1.0
 
     @property
     def strain(self) -> float:
@@ -361,6 +369,10 @@ class Run(NamedTuple):
     def positions(self) -> np.ndarray:
         """Ball centres at the end, (3, N) [L]; ball i is ball i of the test's `cut` throughout."""
         return np.asarray(positions(self.network, self.state))
+
+
+def _radius_now(network: Network, membrane: Membrane, state: State) -> float:
+    return float(jax.jit(membrane_radius)(membrane, positions(network, state)))
 
 
 def raise_for_status(status, curve: Curve | None = None) -> None:
