@@ -113,7 +113,7 @@ def settle(
     network: Network,
     membrane: Membrane,
     params: Params,
-    dt: float,
+    dt: float | None,
     limits: Limits,
     fixed: Load | None = None,
 ) -> tuple[Network, Membrane, State, Confinement]:

@@ -33,9 +33,7 @@ def pairs_within(positions: np.ndarray, radius: np.ndarray, sector: Sector, gap:
     balls = np.tile(np.arange(radius.size), sector.images)
     turns = np.repeat(np.arange(sector.images), radius.size)
     copies = sector.rotate(positions[:, balls], turns)
-    near = cKDTree(positions.T).sparse_distance_matrix(
-        cKDTree(copies.T), 2 * radius.max() + gap, output_type="ndarray"
-    )
+    near = cKDTree(positions.T).sparse_distance_matrix(cKDTree(copies.T), 2 * radius.max() + gap, output_type="ndarray")
     i, j, k = near["i"], balls[near["j"]], turns[near["j"]]
     kept = ((i != j) | (k != 0)) & (near["v"] < radius[i] + radius[j] + gap)
     order = np.lexsort((k[kept], j[kept], i[kept]))

@@ -20,19 +20,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from axijax.dynamics import (
-    DEFAULT_STEP,
-    SAFE_STEP,
-    Params,
-    Scene,
-    State,
-    check_params,
-    critical_time_step,
-    initial_state,
-    make_step,
-    mass_per_cube,
-    positions,
-)
 from axijax.confinement import (
     STALE,
     Confinement,
@@ -49,14 +36,25 @@ from axijax.confinement import (
     wave_speed,
     wear,
 )
-from axijax.membrane import Load, Membrane, build_membrane
+from axijax.dynamics import (
+    DEFAULT_STEP,
+    SAFE_STEP,
+    Params,
+    Scene,
+    State,
+    check_params,
+    critical_time_step,
+    initial_state,
+    make_step,
+    positions,
+)
+from axijax.membrane import Load, Membrane, build_membrane, membrane_radius
 from axijax.neighbors import Network, build_network
 from axijax.observe import Observation, observe
 from axijax.packing import Specimen, cut_to_sector
 from axijax.platform import warn_where_batched
 from axijax.sector import Sector, radial_distance
 from axijax.update import FULL_LIST, Grid, grid_for, renew
-from axijax.vector import zeros
 
 SEGMENT = 1000  # steps between looks at the run from outside: progress, rebuilding, errors
 CHATTER = 1e-3  # `observe.chatter` of a sound run is below zero; above this, contacts chatter
@@ -139,7 +137,7 @@ class Protocol:
     blocks: int
     block_steps: int = 50
     refresh: bool = True
-    limits: Limits = Limits()
+    limits: Limits = Limits()  # noqa: RUF009 (immutable)
     rebuild_every: int = 0
     grid: Grid | None = None
 
@@ -318,16 +316,21 @@ class TriaxialTest:
     def _go_on(self, now: "Progress") -> "Progress":
         """About 1000 steps further, or until a list is worn; lists that are worn are made anew first."""
         network, membrane, state = now.network, now.membrane, now.state
+        swelling = now.swelling
         if float(wear(network, membrane, state).max()) > 1:
+            radius_before = _radius_now(network, membrane, state)
             network, membrane, state = rebuilt(self.cut, network, membrane, state)
+            if self.cut.zone_rule == "exposure":
+                swelling *= radius_before / _radius_now(network, membrane, state)
         stretch = replace(self.protocol, blocks=-(-SEGMENT // self.record_every))
         numbers = self._numbers(network, membrane)
         state, seen, status, blocks = _shear_until_worn(self.scene, stretch, numbers, now.params, state, now.fixed)
         seen = jax.tree.map(lambda values: np.asarray(values)[: int(blocks)], seen)
+        seen = seen._replace(membrane_radius=seen.membrane_radius * swelling)
         records = jax.tree.map(np.append, now.records, seen)
         if int(status):
             raise_for_status(status, make_curve(records, now.confinement))
-        return now._replace(network=network, membrane=membrane, state=state, records=records)
+        return now._replace(network=network, membrane=membrane, state=state, records=records, swelling=swelling)
 
     def _numbers(self, network: Network, membrane: Membrane):
         platens = jnp.asarray([self.cut.bottom, self.cut.top])
@@ -340,6 +343,8 @@ class Progress(NamedTuple):
     fixed: the lateral load where it does not follow the membrane's cells.
     height: distance of the platens at the end of confinement [L].
     records: what was observed so far, T values each.
+    swelling: by which Rm is multiplied in the records of a zone found by exposure, so that balls that join or leave the
+        zone are no change of volume; what is left is the work of the membrane over s3 [-].
     """
 
     params: Params
@@ -350,6 +355,7 @@ class Progress(NamedTuple):
     confinement: Confinement
     height: float
     records: Observation
+    swelling: float = 1.0
 
     @property
     def strain(self) -> float:
@@ -386,6 +392,10 @@ class Run(NamedTuple):
     def positions(self) -> np.ndarray:
         """Ball centres at the end, (3, N) [L]; ball i is ball i of the test's `cut` throughout."""
         return np.asarray(positions(self.network, self.state))
+
+
+def _radius_now(network: Network, membrane: Membrane, state: State) -> float:
+    return float(jax.jit(membrane_radius)(membrane, positions(network, state)))
 
 
 def raise_for_status(status, curve: Curve | None = None) -> None:

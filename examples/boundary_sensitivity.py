@@ -1,4 +1,4 @@
-"""How sensitive are randomly packed balls to the circumferential boundary? The question that Cui & O'Sullivan left open.
+"""How sensitive are randomly packed balls to the circumferential boundary? The question Cui & O'Sullivan left open.
 
 Random dense specimens are made with the symmetry of a sector of order n, confined and sheared; n = 1 is the full
 cylinder. Every run writes one file, so the study may be stopped and started again at any time, and run by several
@@ -300,7 +300,8 @@ def draw_profiles(runs, path: Path) -> None:
                     )  # fmt: skip
         for axis, title in zip(axes[row], titles, strict=True):
             axis.set_title(title, fontsize=10)
-            axis.set_xlabel(f"distance from the {place if place == 'axis' else 'nearest sector plane'} [mean diameters]")
+            wall = "axis" if place == "axis" else "nearest sector plane"
+            axis.set_xlabel(f"distance from the {wall} [mean diameters]")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=8, fontsize=8)
     figure.suptitle(f"{size} balls, f = {friction:g}, at the end of shear: mean over seeds")
     figure.savefig(path, dpi=130)
