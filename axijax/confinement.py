@@ -112,7 +112,7 @@ def settle(
     network: Network,
     membrane: Membrane,
     params: Params,
-    dt: float,
+    dt: float | None,
     limits: Limits,
     fixed: Load | None = None,
 ) -> tuple[Network, Membrane, State, Confinement]:
@@ -192,12 +192,8 @@ def rebuilt(cut: Specimen, network: Network, membrane: Membrane, state: State, l
     now = replace(cut, positions=place, bottom=bottom, top=top, membrane_zone=zone)
     now = replace(now, membrane_zone=zone_found_again(now, sector))
     skin, dtype = float(network.skin), network.dtype
-    new = build_network(now, sector, skin, largest_overlap=largest_overlap, dtype=dtype)
-    rooms = _room(new.slot.shape[0], network.slot.shape[0], 1), _room(new.first.size, network.first.size, 64)
-    new = build_network(now, sector, skin, *rooms, largest_overlap, dtype)
-    surface = build_membrane(now, sector, dtype=dtype)
-    triangles = _room(surface.corner.shape[1], membrane.corner.shape[1], 32)
-    surface = build_membrane(now, sector, triangles, dtype, _room(surface.zone.size, membrane.zone.size, 16))
+    new = _list_in(network.slot.shape[0], network.first.size, now, sector, skin, largest_overlap, dtype)
+    surface = _membrane_in(membrane.corner.shape[1], membrane.zone.size, now, sector, dtype)
     state = state._replace(displacement=zeros(network.radius.shape, network.dtype))
     if state.spring is not None:
         state = state._replace(spring=carry_springs(network, new, state.spring))
@@ -207,16 +203,35 @@ def rebuilt(cut: Specimen, network: Network, membrane: Membrane, state: State, l
 def roomy_lists(specimen: Specimen, sector: Sector, dtype=np.float64) -> tuple[Network, Membrane]:
     """Contact list and membrane with room for what a random packing will become (host).
 
-    Rooms are rounded up, so that specimens of a kind share one shape, and one compiled program.
+    Rooms are those of a usual dense packing where these are enough, so that specimens of a kind, loose and dense, share
+    one shape, and one compiled program.
     """
-    network = build_network(specimen, sector, dtype=dtype)
-    rooms = _room(network.slot.shape[0] + 1, 18, 1), _room(network.first.size, 0, 64)
-    surface = build_membrane(specimen, sector, dtype=dtype)
-    triangles, balls = _room(surface.corner.shape[1], 0, 32), _room(surface.zone.size, 0, 16)
+    count = len(specimen)
+    outer = int(5 * (count * sector.order) ** (2 / 3) / sector.order) + 8
     return (
-        build_network(specimen, sector, None, *rooms, dtype=dtype),
-        build_membrane(specimen, sector, triangles, dtype, balls),
+        _list_in(18, 64 * -(-count // 10), specimen, sector, None, 0.05, dtype),
+        _membrane_in(3 * outer + 80, outer, specimen, sector, dtype),
     )
+
+
+def _list_in(width: int, contacts: int, specimen: Specimen, sector: Sector, skin, largest_overlap, dtype) -> Network:
+    """Contact list of this shape where it fits, or else of one with room to spare."""
+    try:
+        return build_network(specimen, sector, skin, width, contacts, largest_overlap, dtype)
+    except ValueError:  # what else may be wrong is wrong again here
+        exact = build_network(specimen, sector, skin, largest_overlap=largest_overlap, dtype=dtype)
+        rooms = _room(exact.slot.shape[0], width, 1), _room(exact.first.size, contacts, 64)
+        return build_network(specimen, sector, skin, *rooms, largest_overlap, dtype)
+
+
+def _membrane_in(triangles: int, balls: int, specimen: Specimen, sector: Sector, dtype) -> Membrane:
+    """Membrane of this shape where it fits, or else of one with room to spare."""
+    try:
+        return build_membrane(specimen, sector, triangles, dtype, balls)
+    except ValueError:
+        exact = build_membrane(specimen, sector, dtype=dtype)
+        rooms = _room(exact.corner.shape[1], triangles, 32), _room(exact.zone.size, balls, 16)
+        return build_membrane(specimen, sector, rooms[0], dtype, rooms[1])
 
 
 def _room(needed: int, room: int, step: int) -> int:

@@ -33,9 +33,7 @@ def pairs_within(positions: np.ndarray, radius: np.ndarray, sector: Sector, gap:
     balls = np.tile(np.arange(radius.size), sector.images)
     turns = np.repeat(np.arange(sector.images), radius.size)
     copies = sector.rotate(positions[:, balls], turns)
-    near = cKDTree(positions.T).sparse_distance_matrix(
-        cKDTree(copies.T), 2 * radius.max() + gap, output_type="ndarray"
-    )
+    near = cKDTree(positions.T).sparse_distance_matrix(cKDTree(copies.T), 2 * radius.max() + gap, output_type="ndarray")
     i, j, k = near["i"], balls[near["j"]], turns[near["j"]]
     kept = ((i != j) | (k != 0)) & (near["v"] < radius[i] + radius[j] + gap)
     order = np.lexsort((k[kept], j[kept], i[kept]))
@@ -144,7 +142,7 @@ def profiles(cut: Specimen, sector: Sector, radius: float, bins: int = 12) -> tu
 
     def binned(of_points, of_contacts, edges):
         number = np.histogram(of_points, edges)[0]
-        share = np.histogram(of_points, edges, weights=solid)[0] / np.where(number > 0, number, np.nan)
+        share = np.histogram(of_points, edges, weights=solid.astype(float))[0] / np.where(number > 0, number, np.nan)
         contacts = np.histogram(of_contacts, edges)[0] / 2  # each appears from either side
         sums = [np.histogram(of_contacts, edges, weights=row)[0] / 2 for row in square]
         return Profile(edges, share, contacts, *(row / np.where(contacts > 0, contacts, np.nan) for row in sums))

@@ -100,7 +100,9 @@ def cut_to_sector(specimen: Specimen, sector: Sector) -> Specimen:
     """
     positions, radius = specimen.positions, specimen.radius
     if sector.boundary == "rigid":
-        inside = (plane_normals(sector) @ positions[:2] > radius * (1 - 1e-9)).all(axis=0)
+        # Balls of a random specimen that was compacted between the planes press a little into them.
+        pressed = 0.05 if specimen.zone_rule == "exposure" else 1e-9
+        inside = (plane_normals(sector) @ positions[:2] > radius * (1 - pressed)).all(axis=0)
         kept = inside & (sector.angle_of(positions) < sector.angle)
         if not kept.any():
             raise ValueError(

@@ -3,7 +3,7 @@
 1. Radii by quantiles of the grading, so that the grading is met as well as so many balls can; the seed shuffles them.
 2. Centres at random in the sector; small balls grow to their size while overlaps, images included, are pushed apart.
 3. Compaction by membrane and platens at the confining stress, with a friction that decides how dense the packing
-   becomes: none gives the densest, 0.5 nearly the loosest.
+   becomes: 0.05 gives a dense one, 0.5 nearly the loosest.
 
 Everything is made on the host but the compaction, which is the triaxial test's own confinement.
 """
@@ -23,7 +23,7 @@ from axijax.vector import from_rows
 from axijax.zone import outer_balls
 
 BEYOND = 1.5  # mean radii by which the balls reach beyond Rm, once compacted
-DENSEST, LOOSEST = 0.0, 0.5  # compaction frictions between which a void ratio is sought
+DENSEST, LOOSEST = 0.02, 0.5  # compaction frictions between which a void ratio is sought
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def random_cylinder(
     sector: Sector = Sector(1),  # noqa: B008 (frozen)
     grading: Grading | None = None,
     aspect_ratio: float = 2.0,
-    compaction_friction: float = 0.0,
+    compaction_friction: float = 0.05,
     void_ratio: float | None = None,
     void_ratio_tolerance: float = 0.005,
     seed: int = 0,
@@ -193,7 +193,8 @@ def random_cylinder(
     sector: of whose n rotations the specimen is made; between rigid planes it is compacted against them.
     grading: of the balls; None takes radii spread evenly from 16 to 24 [L].
     aspect_ratio: height over 2 Rm, met to some 10 % [-].
-    compaction_friction: between balls during compaction: 0 dense, 0.5 loose [-].
+    compaction_friction: between balls during compaction: 0.05 dense, 0.5 loose [-]. With none at all a packing is a
+        little denser, but cannot bear the least difference between membrane and platens, and may never settle.
     void_ratio: sought instead, by adjusting the compaction friction, to within void_ratio_tolerance [-].
     seed: of the random numbers; the same seed gives the same specimen to the last bit.
     params: stiffnesses, confining stress and density; None takes the defaults.
@@ -272,8 +273,10 @@ def _sought(compacted, void_ratio: float, tolerance: float):
 
 
 def _container(radius: np.ndarray, sector: Sector, aspect_ratio: float, solid_fraction: float):
-    """Radius and height of a cylinder that these balls fill to a solid fraction, counted without the looser layer along walls and
-    the core that no ball between close planes can reach [L]."""
+    """Radius and height of a cylinder that these balls fill to a solid fraction [L].
+
+    Counted without the looser layer along walls, and the core that no ball between close planes can reach.
+    """
     solid, mean = sector.order * (4 / 3) * np.pi * (radius**3).sum(), radius.mean()
     core = 0.8 * max(mean / np.sin(np.pi / sector.order) - mean, 0.0) if sector.order > 2 else 0.0
     side = 1.5 * (solid / (2 * np.pi * aspect_ratio * solid_fraction)) ** (1 / 3) + core + 2 * mean
@@ -307,7 +310,7 @@ def _grown(radius: np.ndarray, sector: Sector, aspect_ratio: float, solid_fracti
         return place
 
     skin = 0.6 * radius.mean()
-    pairs, listed = None, place
+    pairs, listed, sized = None, place, radius
     for growth in np.concatenate([np.linspace(0.4, 1.0, 150), np.ones(450)]):
         size = growth * radius
         if pairs is None or 2 * np.sqrt(((place - listed) ** 2).sum(0).max()) + 2 * (size - sized).max() > skin:
@@ -332,7 +335,7 @@ def _compacted(loose: Specimen, sector: Sector, friction: float, params: Params,
     network, membrane = roomy_lists(loose, sector)
     mass = float(params.density) * (4 / 3) * np.pi * loose.radius.min() ** 3
     # The limit of twelve contacts a ball, which no ball of the smallest size exceeds (PHYSICS 3.5).
-    dt = DEFAULT_STEP * np.sqrt(mass / (10 * max(float(params.normal_stiffness), float(params.shear_stiffness))))
+    dt = float(DEFAULT_STEP * np.sqrt(mass / (10 * max(float(params.normal_stiffness), float(params.shear_stiffness)))))
     limits = Limits(friction, tolerance, most_steps)
     network, membrane, state, balance = settle(loose, network, membrane, params, dt, limits)
     if not float(balance.worst) <= tolerance:
@@ -374,8 +377,9 @@ def _compacted(loose: Specimen, sector: Sector, friction: float, params: Params,
 
 
 def _void_ratio(cut: Specimen, sector: Sector, radius: float, bottom: float, top: float) -> float:
-    solid = inside_balls(sample_points(sector, radius, bottom, top), cut, sector).mean()
-    return float((1 - solid) / solid)
+    """Infinite where there is no ball, as in the core of a narrow sector of few balls."""
+    solid = float(inside_balls(sample_points(sector, radius, bottom, top), cut, sector).mean())
+    return (1 - solid) / solid if solid > 0 else np.inf
 
 
 def _sieves(grading: Grading, radius: np.ndarray) -> np.ndarray:
@@ -393,7 +397,9 @@ def _whole_cylinder(cut: Specimen, sector: Sector) -> Specimen:
     """The sector's balls and their n rotations."""
     turns = np.repeat(np.arange(sector.order), len(cut))
     copies = np.tile(np.arange(len(cut)), sector.order)
-    home = sector.rotate(cut.positions, sector.home_image(cut.positions)) if sector.boundary == "periodic" else cut.positions
+    home = cut.positions
+    if sector.boundary == "periodic":
+        home = sector.rotate(home, sector.home_image(home))
     return replace(
         cut,
         positions=sector.rotate(home[:, copies], turns),

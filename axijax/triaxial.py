@@ -20,19 +20,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from axijax.dynamics import (
-    DEFAULT_STEP,
-    SAFE_STEP,
-    Params,
-    Scene,
-    State,
-    check_params,
-    critical_time_step,
-    initial_state,
-    make_step,
-    mass_per_cube,
-    positions,
-)
 from axijax.confinement import (
     STALE,
     Confinement,
@@ -49,13 +36,24 @@ from axijax.confinement import (
     wave_speed,
     wear,
 )
+from axijax.dynamics import (
+    DEFAULT_STEP,
+    SAFE_STEP,
+    Params,
+    Scene,
+    State,
+    check_params,
+    critical_time_step,
+    initial_state,
+    make_step,
+    positions,
+)
 from axijax.membrane import Load, Membrane, build_membrane
 from axijax.neighbors import Network, build_network
 from axijax.observe import Observation, observe
 from axijax.packing import Specimen, cut_to_sector
 from axijax.sector import Sector, radial_distance
 from axijax.update import FULL_LIST, Grid, grid_for, renew
-from axijax.vector import zeros
 
 SEGMENT = 1000  # steps between looks at the run from outside: progress, rebuilding, errors
 CHATTER = 1e-3  # `observe.chatter` of a sound run is below zero; above this, contacts chatter
@@ -138,7 +136,7 @@ class Protocol:
     blocks: int
     block_steps: int = 50
     refresh: bool = True
-    limits: Limits = Limits()
+    limits: Limits = Limits()  # noqa: RUF009 (immutable)
     rebuild_every: int = 0
     grid: Grid | None = None
 
@@ -319,7 +317,8 @@ class TriaxialTest:
         state, seen, status, blocks = _shear_until_worn(self.scene, stretch, numbers, now.params, state, now.fixed)
         seen = jax.tree.map(lambda values: np.asarray(values)[: int(blocks)], seen)
         records = jax.tree.map(np.append, now.records, seen)
-        raise_for_status(status, make_curve(records, now.confinement))
+        if int(status):
+            raise_for_status(status, make_curve(records, now.confinement))
         return now._replace(network=network, membrane=membrane, state=state, records=records)
 
     def _numbers(self, network: Network, membrane: Membrane):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from few_balls import PLANE, constant_load, few_balls, jit, no_load, order_of, still, unit_params
 
+from axijax.confinement import current_load
 from axijax.dynamics import Params, Scene, initial_state, make_step
 from axijax.energy import EnergyBalance, energy_balance, make_ledger_step, open_ledger
 from axijax.membrane import Load
@@ -16,7 +17,6 @@ from axijax.neighbors import build_network
 from axijax.packing import Specimen, cut_to_sector, fcc_octagon
 from axijax.sector import Sector
 from axijax.theory import dashpot_restitution, local_damping_restitution, slide_to_roll
-from axijax.confinement import current_load
 from axijax.triaxial import TriaxialTest, _ramp, _start_shear
 from axijax.vector import from_rows
 

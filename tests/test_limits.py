@@ -12,11 +12,11 @@ import pytest
 from axijax import theory
 from axijax.dynamics import Params, Scene
 from axijax.membrane import build_membrane, membrane_radius
-from axijax.zone import zone_found_again
 from axijax.packing import cut_to_sector, fcc_octagon
 from axijax.sector import Sector
 from axijax.triaxial import TriaxialTest
 from axijax.vector import from_rows
+from axijax.zone import zone_found_again
 
 FRICTION = 0.12278
 
