@@ -4,10 +4,10 @@ A contact is (ball i, ball j, image k) with the spring and the force in the fram
 from j is (j, i, -k), so each pair is listed once: its force acts on i, and turned back by -k with the other sign on
 j. Every ball gathers its contacts through a table of slots; nothing is scattered, and sums have a fixed order.
 
-The list is built on the host by a k-d tree over all images, and stays right while no ball has moved more than half
-the skin. Motion is stored as displacement from the positions at which the list was built, and each contact keeps
-its branch vector of that moment: so float32 loses nothing to large coordinates, and any image of a ball may
-represent it.
+The list is built on the host by a k-d tree over all images (`axijax.update` makes it anew inside jit), and stays right
+while no ball has moved more than half the skin. Motion is stored as displacement from the positions at which the list
+was built, and each contact keeps its branch vector of that moment: so float32 loses nothing to large coordinates, and
+any image of a ball may represent it.
 """
 
 from dataclasses import dataclass, field

@@ -87,12 +87,19 @@ def visible_share(positions: np.ndarray, radius: np.ndarray, sector: Sector) -> 
         front &= (ball[near] != i) | (turn[near] != 0)
         front &= np.abs(z_j[near] - z[i]) < radius[i] + radius_j[near]
         j = near.start + np.flatnonzero(front)
-        along = theta[i] + angle[:, None] - theta_j[j]
-        inside = radius_j[j] ** 2 - (rho_j[j] * np.sin(along)) ** 2 - (height[:, None] - z_j[j]) ** 2
-        met = rho_j[j] * np.cos(along) + np.sqrt(np.maximum(inside, 0))
-        hidden = ((inside > 0) & (met > own[:, None])).any(axis=1)
-        share[i] = 0.0 if hidden[0] else 1 - hidden.mean()
+
+        others = rho_j[j], theta_j[j] - theta[i], z_j[j], radius_j[j]
+        # Most balls are inside, and the first line tells.
+        if (_met(angle[:1], height[:1], *others) <= own[0]).all():
+            share[i] = (_met(angle, height, *others) <= own[:, None]).all(axis=1).mean()
     return share
+
+
+def _met(angle, height, rho, theta, z, radius):
+    """How far out the radial lines at angles and heights (P,) meet balls (B,), -inf where they do not; (P, B)."""
+    along = angle[:, None] - theta
+    inside = radius**2 - (rho * np.sin(along)) ** 2 - (height[:, None] - z) ** 2
+    return np.where(inside > 0, rho * np.cos(along) + np.sqrt(np.maximum(inside, 0)), -np.inf)
 
 
 def zone_found_again(specimen: Specimen, sector: Sector) -> np.ndarray:
