@@ -85,11 +85,11 @@ def _curve_checks(result: Result) -> list[Check]:
             "is not the radius at which the membrane acts",
         ),
         _at_most(
-            "chatter at the peak", max(float(at_peak.chatter), 0.0), CHATTER,
+            "chatter at the peak", max(0.0, float(at_peak.chatter)), CHATTER,
             "contacts moving to and fro from step to step: above the limit the step is too long, the peak wrong",
         ),
         _at_most(
-            "chatter of the whole curve", max(float(curve.chatter.max()), 0.0), CHATTER,
+            "chatter of the whole curve", max(0.0, float(curve.chatter.max())), CHATTER,
             "the same over all records: above the limit the curve is inexact there",
         ),
     ]  # fmt: skip
@@ -126,7 +126,15 @@ def _state_checks(test: TriaxialTest, seen: Snapshot) -> list[Check]:
     ]  # fmt: skip
     if seen.membrane.number.size:
         strip = seen.sector.angle * seen.membrane.radius * (top - bottom)
+        balls = seen.balls
+        inward = seen.confining_stress * balls.membrane_area * (np.hypot(*balls.positions[:2]) + balls.radius)
+        sideways = float(((balls.stress[0, 0] + balls.stress[1, 1]) * volume).sum())
         checks += [
+            _at_most(
+                "membrane against internal stress", abs(sideways / inward.sum() - 1), 0.01,
+                "the balls' horizontal Love-Weber stress, summed over their volumes, is membrane force times its "
+                "distance from the axis in equilibrium",
+            ),
             _at_most(
                 "membrane cells tile the strip", abs(seen.membrane.area.sum() / strip - 1), 1e-4 if single else 1e-9,
                 "the cells' areas add up to the sector's part of the cylinder of radius Rm",

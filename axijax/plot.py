@@ -98,6 +98,8 @@ def labels(results: Sequence[Result]) -> list[str]:
             if case is not None
         ]
         known = dict.fromkeys(field for fields in flat for field in fields)
+        # The time step that a run has chosen follows from the rest.
+        known.pop("test.time_step", None)
         differing = [field for field in known if len({repr(fields.get(field)) for fields in flat}) > 1]
         told = [
             ", ".join(
@@ -117,7 +119,7 @@ def labels(results: Sequence[Result]) -> list[str]:
 
 def thornton_ratio(case: "Case") -> float | None:
     """Thornton's stress ratio of the ideal array where the specimen is an FCC one, 2 (1 + f) / (1 - f) [-]."""
-    if not case.specimen.kind.startswith("fcc"):
+    if case.specimen.kind not in ("octagon", "fcc"):
         return None
     return float(theory.fcc_stress_ratio(case.parameters.friction if case.scene.friction else 0.0))
 

@@ -6,7 +6,6 @@ opened offline and printed.
 
 import base64
 import io
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from html import escape
@@ -17,6 +16,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from axijax import pictures
+from axijax.case import SECTIONS, to_toml
 from axijax.checks import result_checks
 from axijax.plot import Measured, case_of, curve_figure, labels, thornton_ratio
 from axijax.results import LONG_NAMES, RECORDS, UNITS, Result, write_whole
@@ -177,13 +177,9 @@ def _checks(result: Result, energy: bool) -> str:
 
 def _inputs(result: Result) -> str:
     parts = []
-    for section, model in type(result.case).model_fields.items():
-        values = getattr(result.case, section)
-        rows = [
-            [field, _shown(getattr(values, field)), info.description or ""]
-            for field, info in type(values).model_fields.items()
-        ]
-        about = (type(values).__doc__ or model.description or "").strip().splitlines()[0]
+    for section, given in result.case.model_dump().items():
+        model, about = SECTIONS[section]
+        rows = [[field, _shown(value), model.model_fields[field].description or ""] for field, value in given.items()]
         parts.append(f"<h3>{escape(section)}</h3><p class='note'>{escape(about)}</p>")
         parts.append(_table(["field", "value", "meaning and unit"], rows, style="inputs"))
     if result.has_state:
@@ -218,11 +214,8 @@ def _pictures(result: Result) -> Iterable[str]:
 
 def _reproduce(result: Result) -> str:
     """Commands, versions, machine and the case file."""
-    folder = result.path / "case.toml"
-    text = folder.read_text(encoding="utf-8") if folder.is_file() else case_text(result)
-    versions = dict(result.info.get("versions") or {}) or {
-        name: result.curve.attrs[name] for name in ("axijax", "jax") if name in result.curve.attrs
-    }
+    known = {**result.curve.attrs, **result.info}
+    versions = {name: known[name] for name in ("axijax", "jax", "numpy", "python") if name in known}
     told = ", ".join(f"{name} {number}" for name, number in versions.items()) or "the same versions"
     commands = f"axijax run case.toml --output {result.name}\naxijax check {result.name}\naxijax report {result.name}\n"
     parts = [
@@ -234,16 +227,8 @@ def _reproduce(result: Result) -> str:
     rows = [[name, value] for name, value in _flat(result.info) if name not in ("status", "message")]
     if rows:
         parts += ["<h3>Run</h3>", _table(["", ""], rows)]
-    parts += ["<h3>Case file</h3>", f"<pre>{escape(text)}</pre>"]
+    parts += ["<h3>Case file</h3>", f"<pre>{escape(to_toml(result.case))}</pre>"]
     return "\n".join(parts)
-
-
-def case_text(result: Result) -> str:
-    """A result's case as TOML, every value filled in."""
-    lines = []
-    for section, values in result.case.model_dump(exclude_none=True).items():
-        lines += [f"[{section}]", *(f"{name} = {json.dumps(value)}" for name, value in values.items()), ""]
-    return "\n".join(lines)
 
 
 def _flat(values: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, str]]:

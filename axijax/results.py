@@ -203,7 +203,7 @@ class Result:
 def open_result(path: str | Path) -> Result:
     """Read the folder of a run, or one run's curve.nc.
 
-    A run that has not finished has the curve up to its last checkpoint.
+    A run that has not finished has the curve up to its last checkpoint, or to where it went wrong.
 
     Raises ValueError, saying what is the matter, where there is no such result, it is damaged, or it has no curve yet.
     """
@@ -225,11 +225,11 @@ def open_results(path: str | Path) -> list[Result]:
     if not path.is_dir():
         raise ValueError(f"result '{path}' does not exist: give the folder that `axijax run` made, or its curve.nc.")
     info = _read_info(path)
-    if (path / "curve.nc").is_file():
-        return [
-            Result(path, _name(path), curve, info.get("status", "finished"), info)
-            for _, curve in _read_curves(path / "curve.nc")
-        ]
+    # A run that went wrong keeps its curve, faulty end and all, under another name.
+    kept = [path / name for name in ("curve.nc", "partial_curve.nc") if (path / name).is_file()]
+    if kept:
+        status = info.get("status", "finished" if kept[0].name == "curve.nc" else "failed")
+        return [Result(path, _name(path), curve, status, info) for _, curve in _read_curves(kept[0])]
     if not info and not (path / "checkpoint.npz").is_file():
         raise ValueError(
             f"'{path}' is no result: it holds none of curve.nc, run.json and checkpoint.npz; give the folder that "

@@ -9,12 +9,12 @@ from functools import partial
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from axijax.contact import contact_friction, geometry
+from axijax.contact import contact_friction, geometry, resultants
 from axijax.dynamics import all_forces, positions
 from axijax.membrane import lateral_force, membrane_load, membrane_radius
-from axijax.platens import sector_plane_force
 from axijax.sector import Sector, plane_normals
 from axijax.triaxial import Progress, TriaxialTest
 from axijax.vector import zeros
@@ -138,6 +138,7 @@ def snapshot(
     seen = _mechanics(test.scene, progress.params, network, progress.membrane, progress.fixed, test.time_step, state)
     seen = {name: np.asarray(value) for name, value in seen.items()}
     place = np.asarray(positions(network, state), float)
+    heights = np.asarray(state.platens, float)
     radius, on_axis = test.cut.radius, sector.on_axis(test.cut.positions, test.cut.radius)
 
     # All images of all balls, and all images of all contacts, each once; the sector's own come first.
@@ -170,7 +171,7 @@ def snapshot(
     product = np.einsum("ac,bc->cab", apart, force) / (radius[first] + radius[second])[:, None, None]
     for end, ball in zip(ends, (first, second), strict=True):
         np.add.at(stress, end, product * radius[ball][:, None, None])
-    stress += _turned(sector, _boundary_moments(sector, radius, seen)[number], image)
+    stress += _turned(sector, _boundary_moments(sector, radius, place, heights, seen)[number], image)
     stress = np.moveaxis(stress / (4 / 3 * np.pi * radius[number] ** 3)[:, None, None], 0, -1)
 
     def turned(vectors):
@@ -198,7 +199,6 @@ def snapshot(
         normal_force=normal_force, tangential_force=tangential_force, sliding=seen["sliding"][contact],
         share=np.ones(contact.size) if full else np.asarray(network.share, float)[contact],
     )  # fmt: skip
-    heights = np.asarray(state.platens, float)
     forces = seen["platens"] * (n if full else 1)
     return Snapshot(
         axial_strain=progress.strain,
@@ -230,45 +230,44 @@ def _mechanics(scene, params, network, membrane, fixed, dt, state):
     if forces.contacts.spring is not None:
         # As in `observe`: the cap is a product of rounded numbers.
         sliding = across.dot(across) >= ((1 - 1e-6) * contact_friction(params, network) * along) ** 2
+    lateral = lateral_force(params.confining_stress, load, place)
     planes = zeros(network.radius.shape, network.dtype)
-    if network.sector.boundary == "rigid":
-        mass = params.density * (4 / 3) * np.pi * network.radius**3
-        viscosity = 2 * params.damping_ratio * (params.platen_stiffness * mass) ** 0.5
-        planes = sector_plane_force(
-            params, network, place, state.velocity, viscosity if scene.damping == "dashpot" else None
-        )
+    if network.sector.boundary == "rigid":  # what the resultant holds beside contacts, platens and membrane
+        planes = forces.resultant - resultants(forces.contacts, network)[0] - lateral
     return {
-        "force": jax.numpy.stack([*force]),
-        "apart": jax.numpy.stack([*branch.apart]),
+        "force": jnp.stack([*force]),
+        "apart": jnp.stack([*branch.apart]),
         "overlap": branch.overlap,
         "sliding": sliding,
-        "push": jax.numpy.stack(forces.platen_push),
-        "platens": jax.numpy.stack([(side * network.weight).sum() for side in forces.platen_push]),
-        "lateral": jax.numpy.stack([*lateral_force(params.confining_stress, load, place)]),
-        "planes": jax.numpy.stack([*planes]),
-        "area": load.lateral if load.lateral.ndim == 1 else jax.numpy.zeros_like(network.radius),
+        "push": jnp.stack(forces.platen_push),
+        "platens": jnp.stack([(side * network.weight).sum() for side in forces.platen_push]),
+        "lateral": jnp.stack([*lateral]),
+        "planes": jnp.stack([*planes]),
+        "area": load.lateral if load.lateral.ndim == 1 else jnp.zeros_like(network.radius),
         "section": load.section,
         "stale": load.stale,
         "membrane_radius": membrane_radius(membrane, place),
-        "resultant": jax.numpy.stack([*forces.resultant]),
+        "resultant": jnp.stack([*forces.resultant]),
     }
 
 
-def _boundary_moments(sector: Sector, radius: np.ndarray, seen) -> np.ndarray:
-    """Arm times force of platens, lateral load and rigid planes on each ball, which push straight at its centre;
-    (N, 3, 3) [F L]."""
+def _boundary_moments(sector: Sector, radius: np.ndarray, place: np.ndarray, heights: np.ndarray, seen) -> np.ndarray:
+    """Arm times force of platens, lateral load and rigid planes on each ball, all straight at its centre; (N, 3, 3)
+    [F L]. Arms reach to the platen or the plane, and to the ball's surface where the membrane presses."""
 
-    def pressed(direction, size):
-        return np.einsum("ai,bi,i->iab", direction, direction, size * radius)
+    def pressed(direction, size, arm):
+        return np.einsum("ai,bi,i->iab", direction, direction, size * arm)
 
     lateral = seen["lateral"]
     size = np.linalg.norm(lateral, axis=0)
-    total = pressed(lateral / np.where(size > 0, size, 1.0), size)
-    total[:, 2, 2] += radius * seen["push"].sum(0)
+    total = pressed(lateral / np.where(size > 0, size, 1.0), size, radius)
+    bottom, top = seen["push"]
+    total[:, 2, 2] += bottom * (place[2] - heights[0]) + top * (heights[1] - place[2])
     if sector.boundary == "rigid":
         normals = plane_normals(sector)
         for inward, push in zip(normals, np.linalg.solve(normals.T, seen["planes"][:2]), strict=True):
-            total += pressed(np.broadcast_to(np.array([*inward, 0.0])[:, None], (3, radius.size)), push)
+            direction = np.broadcast_to(np.array([*inward, 0.0])[:, None], place.shape)
+            total += pressed(direction, push, inward @ place[:2])
     return total
 
 
