@@ -28,11 +28,8 @@ FRICTION = np.arange(0.03, 0.331, 0.03).round(2)
 
 def tell(outcome: Outcome) -> None:
     how = "was there" if outcome.resumed else f"{outcome.seconds:.1f} s"
-    print(
-        f"{outcome.member.name:16}",
-        outcome.failure or f"peak {outcome.curve.stress_ratio.max():.3f}, {how}",
-        flush=True,
-    )
+    what = outcome.failure if outcome.curve is None else f"peak {outcome.curve.stress_ratio.max():.3f}"
+    print(f"{outcome.member.name:16}", what, how, flush=True)
 
 
 def picture(data) -> Figure:
