@@ -5,9 +5,9 @@
     print(result.failures)
     open_batch("sweep").stress_ratio                  # (member, record)
 
-On a CPU every core takes the next test and runs it by itself (XLA releases Python's lock, so threads run in parallel on
-one CPU device). On a GPU tests of equal shape run together, by `jax.vmap`. Where `jax.distributed` has been initialised,
-the processes share the members out among them, and the results in one folder.
+On a CPU every core takes the next test and runs it by itself (compiled programs run outside Python's lock, so threads
+are parallel on one CPU device). On a GPU tests of equal shape run together, by `jax.vmap`. Where `jax.distributed` has
+been initialised, its processes deal the members out among them and write into one folder.
 """
 
 import itertools
@@ -37,7 +37,8 @@ __all__ = [
 Strategy = Literal["auto", "threads", "vmap"]
 CHUNK = 128  # most tests in one vmap; about 1 MB each for 430 balls
 
-Item, Value = TypeVar("Item"), TypeVar("Value")
+Item = TypeVar("Item")
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -135,8 +136,8 @@ def run_batch(
         a CPU and vmap on anything else.
     workers: threads; None takes one a core with "threads", and one a device with "vmap".
 
-    Under `jax.distributed`, process p of P takes every P-th member, from the p-th, and returns its own; without a folder
-    the others' results are known to those processes only.
+    Under `jax.distributed`, process p of P takes every P-th member, from the p-th, and returns its own;
+    `open_batch` reads all of them from the folder.
 
     Raises ValueError for names that are not unique, and for a folder that cannot be written or that holds a member of
     that name of another test, other parameters or another version.
@@ -203,7 +204,7 @@ def parallel(
     stop: threading.Event | None = None,
     devices: Sequence[Any] | None = None,
 ) -> list["Value | Exception"]:
-    """`work(item)` for every item, in worker threads; what it returned, or the Exception it raised, in the items' order.
+    """`work(item)` for every item, in threads; what it returned, or the Exception it raised, in the items' order.
 
     For work that spends its time in compiled programs, which run outside Python's lock.
 
@@ -214,8 +215,11 @@ def parallel(
     """
     waiting = list(items)
     results: list[Any] = [None] * len(waiting)
+    stop = stop or threading.Event()
 
     def attempt(number: int):
+        if stop.is_set():
+            return number, None
         try:
             if not devices:
                 return number, work(waiting[number])
@@ -223,6 +227,9 @@ def parallel(
                 return number, work(waiting[number])
         except Exception as error:
             return number, error
+        except BaseException:
+            stop.set()
+            raise
 
     with ThreadPoolExecutor(max(1, min(workers or _cores(), len(waiting)))) as pool:
         futures = [pool.submit(attempt, number) for number in range(len(waiting))]
@@ -232,8 +239,7 @@ def parallel(
                 if finished is not None:
                     finished(number, results[number])
         except BaseException:
-            if stop is not None:
-                stop.set()
+            stop.set()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return results

@@ -44,7 +44,9 @@ class Stored:
         assert self.curve is not None
         curve = self.curve
         peak = int(np.argmax(np.asarray(curve.stress_ratio)))
-        at_peak = [float(getattr(curve, n)[peak]) for n in ("stress_ratio", "core_ratio", "virial_ratio", "axial_strain")]
+        at_peak = [
+            float(getattr(curve, n)[peak]) for n in ("stress_ratio", "core_ratio", "virial_ratio", "axial_strain")
+        ]
         scalars = {name: float(value) for name, value in vars(self.params).items() if np.ndim(value) == 0}
         # A label says what was asked for; a parameter of the same name is the same number.
         about = scalars | self.labels | dict(zip(PEAK, at_peak, strict=True)) | {"seconds": self.seconds}
@@ -71,7 +73,9 @@ def joined(datasets: Sequence["xarray.Dataset"]) -> "xarray.Dataset":
         return xarray.Dataset(coords={"member": np.array([], str)})
     longest = max(data.sizes["record"] for data in datasets)
     # A label that only some members have is NaN, or an empty text, for the others.
-    absent = {name: "" if label.dtype.kind in "OSU" else np.nan for data in datasets for name, label in data.coords.items()}
+    absent = {
+        name: "" if label.dtype.kind in "OSU" else np.nan for data in datasets for name, label in data.coords.items()
+    }
     padded = []
     for data in datasets:
         lacking = {name: ("member", [empty]) for name, empty in absent.items() if name not in data.coords}
@@ -101,9 +105,9 @@ def read_member(folder: Path, wanted: Stored) -> Stored | None:
             f"{data.attrs.get('axijax')}, jax {data.attrs.get('jax')}): choose another folder, or delete it."
         )
     unbalanced, stress_error, steps = json.loads(data.attrs["confinement"])
-    records: dict[str, Any] = {name: data[name].values[0] for name in RECORDS}
-    confinement: Any = Confinement(np.float64(unbalanced), np.float64(stress_error), np.int32(steps))
-    curve = Curve(**records, confinement=confinement, status=np.int32(0))  # type: ignore[arg-type]
+    records: dict[str, Any] = {name: data[name].values[0] for name in RECORDS} | {"status": np.int32(0)}
+    confinement = Confinement._make(map(np.asarray, (unbalanced, stress_error, int(steps))))
+    curve = Curve(**records, confinement=confinement)
     return replace(wanted, curve=curve, seconds=float(data.seconds.values[0]))
 
 

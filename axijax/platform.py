@@ -3,6 +3,7 @@
 Nothing here runs unless it is called.
 """
 
+import contextlib
 import hashlib
 import os
 import platform
@@ -50,13 +51,15 @@ def use_compilation_cache(path: Path | str | None = None) -> Path | None:
     the cache off), or else `axijax` in the user's cache folder (XDG_CACHE_HOME or ~/.cache). A cache that the process
     has already been given (JAX_COMPILATION_CACHE_DIR) is left alone. A folder that cannot be written is a warning,
     never an error. Programs compiled with other XLA flags, other versions of jax or for another processor are kept
-    apart: the first two are part of JAX's key, processors have a folder each.
+    apart: the first two are part of JAX's key, processors have a folder each. Of several `jax.distributed` processes
+    only the first writes. Import axijax before jax, or XLA prints a long false alarm for every program that it reads.
     """
     asked = os.environ.get(CACHE_VARIABLE, "") if path is None else str(path)
     if asked.lower() in ("0", "off", "no", "false"):
         return None
-    if path is None and jax.config.jax_compilation_cache_dir:
-        return Path(jax.config.jax_compilation_cache_dir)
+    given = jax.config.values["jax_compilation_cache_dir"]
+    if path is None and given:
+        return Path(given)
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~").expanduser() / ".cache")
     folder = (Path(asked).expanduser() if asked else home / "axijax") / _processor()
     try:
@@ -79,10 +82,8 @@ def use_compilation_cache(path: Path | str | None = None) -> Path | None:
 def _processor() -> str:
     """A name for what this processor can run: a compiled program may use instructions that another one lacks."""
     about = platform.machine() + platform.processor()
-    try:
+    with contextlib.suppress(OSError, StopIteration):
         about += next(line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("flags"))
-    except (OSError, StopIteration):
-        pass
     return f"{platform.machine()}-{hashlib.sha256(about.encode()).hexdigest()[:8]}"
 
 

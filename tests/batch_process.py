@@ -21,8 +21,9 @@ from axijax.batch import Member, parameter_grid, run_batch
 FRICTION = (0.1, 0.2, 0.3)
 
 
-def tiny(layers: int = 3) -> axijax.TriaxialTest:
-    return axijax.TriaxialTest(axijax.fcc_octagon(layers=layers, half_width=3), axial_strain=0.0006)
+def tiny(radius: float = 20.0) -> axijax.TriaxialTest:
+    specimen = axijax.fcc_octagon(radius, layers=3, half_width=3)
+    return axijax.TriaxialTest(specimen, scene=axijax.Scene(rotation=False), axial_strain=0.0006)
 
 
 def members() -> list[Member]:
