@@ -311,10 +311,10 @@ def confined_stiffness(scene: Scene, params: Params, network: Network):
 
 def _stiffest(scene: Scene, params: Params, network: Network, touching_within: float):
     """Tangent stiffness of the contacts if closed, normal and tangential, (C,) or numbers, and that of the contacts of
-    one plate as a function of the balls that touch it and of its area [F/L] (host)."""
+    one plate as a function of the balls that touch it, its area and their overlaps [F/L] (host)."""
     if scene.contact_law == "linear":
         wall = float(params.platen_stiffness)
-        return float(params.normal_stiffness), float(params.shear_stiffness), lambda balls, area: wall
+        return float(params.normal_stiffness), float(params.shear_stiffness), lambda balls, area, overlap: wall
     radius = np.asarray(network.radius, float)
     force = OVERLOAD * confined_force(params, network, touching_within)
     reduced = reduced_radius(network)
@@ -322,9 +322,10 @@ def _stiffest(scene: Scene, params: Params, network: Network, touching_within: f
         params, reduced, jnp.maximum(force, hertz_force(params, reduced, network.overlap))
     )
 
-    def of_wall(balls, area):
+    def of_wall(balls, area, overlap):
         share = np.asarray(network.weight)[balls].sum()
         load = OVERLOAD * float(params.confining_stress) * area / max(share, 1e-3)
+        load = jnp.maximum(load, hertz_force(params, radius[balls], overlap))
         return np.asarray(tangent_stiffness(params, radius[balls], load)[0])
 
     return np.asarray(normal), np.asarray(shear), of_wall
@@ -378,7 +379,7 @@ def critical_time_step(scene: Scene, params: Params, network: Network, touching_
     ground = []
     for gap, direction, area in plates:
         balls = np.flatnonzero(gap < touching_within * radius)
-        constant = np.broadcast_to(wall_constant(balls, area), balls.shape)
+        constant = np.broadcast_to(wall_constant(balls, area, -gap[balls]), balls.shape)
         ground.append((balls, np.array(direction), constant, 2 * beta * np.sqrt(constant * mass[balls])))
 
     def turned(vectors, sine):

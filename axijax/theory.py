@@ -39,7 +39,8 @@ _FASTEST_MODES = {
 
 # Arguments that must be greater than 0; the others may be 0.
 _POSITIVE = {"angular_frequency", "contact_elevation", "contacts_per_ball", "effective_mass", "mass"}
-_POSITIVE |= {"normal_stiffness", "radius", "stiffness", "stiffness_factor", "tan_angle"}
+_POSITIVE |= {"effective_modulus", "normal_stiffness", "radius", "reduced_radius", "stiffness", "stiffness_factor"}
+_POSITIVE |= {"tan_angle"}
 
 
 def _are_numbers(*values):
@@ -238,6 +239,22 @@ def impact_maximum_overlap(normal_speed, effective_mass, normal_stiffness):
     Raises ValueError unless m* and kn are positive, or if v is negative."""
     _check_signs(normal_speed=normal_speed, effective_mass=effective_mass, normal_stiffness=normal_stiffness)
     return normal_speed * jnp.sqrt(effective_mass / normal_stiffness)
+
+
+def hertz_impact_maximum_overlap(normal_speed, effective_mass, reduced_radius, effective_modulus):
+    """Largest overlap [L] of a Hertzian impact without damping, (15 m* v^2 / (16 sqrt(R*) E*))^(2/5), where
+    R* = r1 r2/(r1+r2) [L] and E* = G/(1-nu) for balls of one material [M L^-1 T^-2] (energy balance; Johnson 1985).
+    Raises ValueError unless m*, R* and E* are positive, or if v is negative."""
+    _check_signs(normal_speed=normal_speed, effective_mass=effective_mass)
+    _check_signs(reduced_radius=reduced_radius, effective_modulus=effective_modulus)
+    return (15 * effective_mass * normal_speed**2 / (16 * reduced_radius**0.5 * effective_modulus)) ** 0.4
+
+
+def hertz_impact_duration(normal_speed, effective_mass, reduced_radius, effective_modulus):
+    """Time in contact [T] of that impact, 2 sqrt(pi) Gamma(7/5)/Gamma(9/10) = 2.9432 times the largest overlap over the
+    speed, which is 2.8683 (m*^2 / (R* E*^2 v))^(1/5). Raises ValueError as `hertz_impact_maximum_overlap`."""
+    overlap = hertz_impact_maximum_overlap(normal_speed, effective_mass, reduced_radius, effective_modulus)
+    return 2.9432751843247043 * overlap / normal_speed
 
 
 def local_damping_restitution(local_damping):

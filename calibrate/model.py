@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.parameters import ParameterSet
+from calibrate.parameters import ParameterSet, check_used
 
 FIELDS = ("axial_strain", "stress_ratio", "virial_ratio", "core_ratio", "volumetric_strain")
 
@@ -59,6 +59,9 @@ class Model:
     ):
         if not isinstance(parameters, ParameterSet):
             parameters = ParameterSet.of(simulator.params, parameters)
+        scene = getattr(simulator, "scene", None)
+        if scene is not None:
+            check_used(parameters.names, scene.contact_law)
         self.simulator, self.parameters, self.hold_time_step = simulator, parameters, hold_time_step
         self.cost = Cost(tangent_cost=tangent_cost)
         self._value = jax.jit(self.curve)
@@ -66,7 +69,7 @@ class Model:
 
     def check_stiffest(self) -> None:
         """Raise ValueError where the limits let the stiffness pass the one that the test's time step was chosen for."""
-        softer_only = ("normal_stiffness", "shear_stiffness")
+        softer_only = ("normal_stiffness", "shear_stiffness", "shear_modulus", "poisson_ratio")
         for name, upper in zip(self.parameters.names, self.parameters.upper, strict=True):
             reference = self.parameters.reference[name]
             if not self.hold_time_step and name in softer_only and upper > reference * (1 + 1e-9):

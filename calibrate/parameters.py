@@ -16,6 +16,8 @@ ALIASES = {
     "kn": "normal_stiffness",
     "ks": "shear_stiffness",
     "ks/kn": "stiffness_ratio",
+    "G": "shear_modulus",
+    "nu": "poisson_ratio",
     "s3": "confining_stress",
     "beta": "damping_ratio",
     "rho": "density",
@@ -29,12 +31,21 @@ LIMITS = {
     "stiffness_ratio": (1e-2, 10.0),
     "normal_stiffness": _FACTOR,
     "shear_stiffness": _FACTOR,
+    "shear_modulus": _FACTOR,
+    "poisson_ratio": (1e-3, 0.499),
     "confining_stress": _FACTOR,
     "density": _FACTOR,
     "damping_ratio": (1e-2, 1e2),
     "ball_radius_scale": (1e-2, 1e2),
 }
-_ABSOLUTE = ("friction", "stiffness_ratio", "ball_radius_scale")
+_ABSOLUTE = ("friction", "stiffness_ratio", "poisson_ratio", "ball_radius_scale")
+_BELOW = {"friction": 1.0, "poisson_ratio": 0.5}
+
+# What the other contact law knows nothing of.
+_UNUSED = {
+    "linear": ("shear_modulus", "poisson_ratio"),
+    "hertz": ("normal_stiffness", "shear_stiffness", "stiffness_ratio", "ball_radius_scale"),
+}
 
 
 def reference_values(params) -> dict[str, float]:
@@ -43,6 +54,22 @@ def reference_values(params) -> dict[str, float]:
     values["stiffness_ratio"] = values["shear_stiffness"] / values["normal_stiffness"]
     values["ball_radius_scale"] = 1.0
     return values
+
+
+def check_used(names: Sequence[str], contact_law: str) -> None:
+    """Raise ValueError for a parameter that a scene with this contact law does not use."""
+    unused = [name for name in names if name in _UNUSED[contact_law]]
+    if unused:
+        raise ValueError(
+            f"parameter '{unused[0]}': contact_law = '{contact_law}' does not use it, so no data can tell it; fit "
+            "another parameter, or take the other contact law."
+        )
+
+
+def _hertz_stiffness(shear_modulus, poisson_ratio):
+    """What the normal and the tangential stiffness under a given force are proportional to (Hertz-Mindlin)."""
+    modulus = shear_modulus / (1 - poisson_ratio)
+    return modulus ** (2 / 3), shear_modulus / (2 - poisson_ratio) * modulus ** (-1 / 3)
 
 
 def to_coordinate(name: str, value):
@@ -133,10 +160,10 @@ class ParameterSet:
         for name in full:
             factor = 1.0 if name in _ABSOLUTE else reference[name]
             lower, upper = given.get(name, tuple(factor * limit for limit in LIMITS[name]))
-            if not (np.isfinite([lower, upper]).all() and 0 < lower < upper and (name != "friction" or upper < 1)):
+            if not (np.isfinite([lower, upper]).all() and 0 < lower < upper and upper < _BELOW.get(name, np.inf)):
                 raise ValueError(
                     f"bounds of {name} = ({lower!r}, {upper!r}): must be two numbers, 0 < lower < upper"
-                    + (" < 1." if name == "friction" else ".")
+                    + (f" < {_BELOW[name]:g}." if name in _BELOW else ".")
                 )
             low.append(lower)
             high.append(upper)
@@ -174,9 +201,9 @@ class ParameterSet:
     def params(self, base, coordinates, hold_time_step: bool = True):
         """`base` Params with these coordinates put in; pure, for traced coordinates.
 
-        hold_time_step: multiply the density by the larger of kn and ks over their reference values. Every frequency
-            over the reference time step then stays at or below the reference's, so that a test built once serves a
-            wide range of stiffness; the loading is faster against the waves by the root of that factor.
+        hold_time_step: multiply the density by the larger of normal and tangential stiffness over their reference.
+            Every frequency over the reference time step then stays at or below the reference's, so that a test built
+            once serves a wide range of stiffness; the loading is faster against the waves by the root of that factor.
         """
         value = {name: from_coordinate(name, z) for name, z in zip(self.names, coordinates, strict=True)}
         reference = self.reference
@@ -190,5 +217,11 @@ class ParameterSet:
         density = value.get("density", reference["density"])
         if hold_time_step and set(value) & {"normal_stiffness", "shear_stiffness", "stiffness_ratio"}:
             density = density * jnp.maximum(kn / reference["normal_stiffness"], ks / reference["shear_stiffness"])
-        changed = {name: value[name] for name in ("friction", "confining_stress", "damping_ratio") if name in value}
+        if hold_time_step and set(value) & {"shear_modulus", "poisson_ratio"}:
+            material = ("shear_modulus", "poisson_ratio")
+            now = _hertz_stiffness(*(value.get(name, reference[name]) for name in material))
+            once = _hertz_stiffness(*(reference[name] for name in material))
+            density = density * jnp.maximum(now[0] / once[0], now[1] / once[1])
+        same = ("friction", "confining_stress", "damping_ratio", "shear_modulus", "poisson_ratio")
+        changed = {name: value[name] for name in same if name in value}
         return replace(base, normal_stiffness=kn, shear_stiffness=ks, density=density, **changed)
