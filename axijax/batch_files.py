@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from axijax.dynamics import Params
@@ -106,9 +105,9 @@ def read_member(folder: Path, wanted: Stored) -> Stored | None:
             f"{data.attrs.get('axijax')}, jax {data.attrs.get('jax')}): choose another folder, or delete it."
         )
     unbalanced, stress_error, steps = json.loads(data.attrs["confinement"])
-    records: dict[str, Any] = {name: data[name].values[0] for name in RECORDS}
-    confinement = Confinement(*map(jnp.asarray, (unbalanced, stress_error, int(steps))))
-    curve = Curve(**records, confinement=confinement, status=jnp.int32(0))
+    records: dict[str, Any] = {name: data[name].values[0] for name in RECORDS} | {"status": np.int32(0)}
+    confinement = Confinement._make(map(np.asarray, (unbalanced, stress_error, int(steps))))
+    curve = Curve(**records, confinement=confinement)
     return replace(wanted, curve=curve, seconds=float(data.seconds.values[0]))
 
 

@@ -85,11 +85,11 @@ def _curve_checks(result: Result) -> list[Check]:
             "is not the radius at which the membrane acts",
         ),
         _at_most(
-            "chatter at the peak", max(float(at_peak.chatter), 0.0), CHATTER,
+            "chatter at the peak", max(0.0, float(at_peak.chatter)), CHATTER,
             "contacts moving to and fro from step to step: above the limit the step is too long, the peak wrong",
         ),
         _at_most(
-            "chatter of the whole curve", max(float(curve.chatter.max()), 0.0), CHATTER,
+            "chatter of the whole curve", max(0.0, float(curve.chatter.max())), CHATTER,
             "the same over all records: above the limit the curve is inexact there",
         ),
     ]  # fmt: skip

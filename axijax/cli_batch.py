@@ -13,11 +13,11 @@ TABLE = "sweep"
 
 
 def batch(
-    sweep: Annotated[Path, typer.Argument(help="Case file (TOML) with a table [sweep] of lists.")],
+    sweep: Annotated[Path, typer.Argument(help="Case file (TOML) with a table named sweep, of lists.")],
     output: Annotated[Path, typer.Option(help="Folder for the curves and the table.")] = Path("batch"),
     workers: Annotated[int | None, typer.Option(min=1, help="Tests at a time; left out: one a core.")] = None,
 ) -> None:
-    """Run all combinations of the lists in a case file's [sweep] table, such as parameters.friction = [0.1, 0.2].
+    """Run all combinations of the lists in a case file's sweep table, such as parameters.friction = [0.1, 0.2].
 
     Writes one NetCDF file a test into OUTPUT/members as they come, and summary.csv. Run again after an interruption:
     what is there is not computed again. Ends with exit code 1 where a test failed; the others are kept.

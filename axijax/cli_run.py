@@ -182,21 +182,18 @@ class _LiveLine(_Live):
             self.live.console.print(text, highlight=False, soft_wrap=True)
 
     def advance(self, test: "TriaxialTest", now: "Progress", rate: float | None, left: float | None) -> None:
-        from rich.progress_bar import ProgressBar
-        from rich.table import Table
+        from rich.text import Text
 
-        line = Table.grid(padding=(0, 2, 0, 0))
-        cells = [
-            "shearing" if rate else "compiling",
-            ProgressBar(test.axial_strain, min(now.strain, test.axial_strain), width=16),
-            f"strain {100 * now.strain:.3f} %",
+        parts = [  # together within 80 columns
+            f"{'shearing' if rate else 'compiling'} {100 * now.strain:.3f} %",
             f"s1/s3 {now.stress_ratio:.4f}",
-            f"unbalanced {now.unbalanced_force:.1e}",
-            f"{rate / 1e6:.2f} M ball-steps/s" if rate else "",
-            f"{left // 60:.0f}:{left % 60:02.0f} left" if left is not None else "",
+            f"unbalanced {now.unbalanced_force:.0e}",
         ]
-        line.add_row(*cells)
-        self.live.update(line)
+        if rate is not None:
+            parts.append(f"{rate / 1e6:.1f}M ball-steps/s")
+        if left is not None:
+            parts.append(f"{left // 60:.0f}:{left % 60:02.0f} left")
+        self.live.update(Text("  ".join(parts), no_wrap=True, overflow="crop"))
 
 
 class _JsonLines(_Live):

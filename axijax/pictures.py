@@ -15,7 +15,7 @@ from axijax.snapshot import Snapshot
 
 STUCK, SLIDING, OWN, IMAGE = "#0072B2", "#D55E00", "#0072B2", "#B8B8B8"
 ROSE_BINS = 9  # from horizontal to vertical
-SHADES = 7  # discs that shade one ball
+DISCS = 15_000  # that shade all balls in space together, 6 to 24 each
 
 
 def force_network(seen: Snapshot) -> Figure:
@@ -179,7 +179,7 @@ def specimen(seen: Snapshot) -> Figure:
     across, height, radius = (values[order] for values in (right @ balls.positions, up @ balls.positions, balls.radius))
     base = np.where((balls.image[order] == 0)[:, None], to_rgb(OWN), to_rgb(IMAGE))
     # Discs that shrink towards the light and grow paler, one ball after another.
-    step = np.linspace(0, 1, SHADES)[None, :]
+    step = np.linspace(0, 1, int(np.clip(DISCS / radius.size, 6, 24)))[None, :]
     pale = 0.55 + 0.45 * np.minimum(step * 1.6, 1)
     white = 0.55 * np.clip(step - 0.4, 0, None) ** 1.5
     colours = base[:, None, :] * pale[..., None] * (1 - white[..., None]) + white[..., None]

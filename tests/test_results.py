@@ -7,6 +7,7 @@ import struct
 import zlib
 from base64 import b64decode
 from dataclasses import replace
+from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
@@ -20,7 +21,7 @@ from typer.testing import CliRunner
 from axijax import paraview, pictures, plot, results
 from axijax.case import Case
 from axijax.checks import result_checks
-from axijax.dynamics import all_forces
+from axijax.dynamics import all_forces, initial_state
 from axijax.membrane import membrane_load
 from axijax.observe import observe
 from axijax.report import report_page
@@ -29,6 +30,7 @@ from axijax.runs import run_case
 from axijax.snapshot import snapshot
 from axijax.theory import fcc_stress_ratio
 from axijax.triaxial import RECORDS as CURVE_RECORDS
+from axijax.triaxial import Confinement, Progress, no_records
 from axijax.vector import Vector
 from calibrate import MeasuredCurve
 
@@ -69,15 +71,15 @@ def copied(folder, tmp_path):
 def forces(result):
     """All forces of the last state, as a step finds them, and what the test observes there."""
     test, now = result.test, result.progress
+    return found_in(test.scene, test.time_step, now.network, now.membrane, now.state, now.params)
 
-    @jax.jit
-    def at(network, membrane, state, params):
-        load = membrane_load(membrane, network.positions + state.displacement, *state.platens)
-        given = (test.scene, params, network)
-        seen = observe(*given, membrane, load, test.time_step, state)
-        return all_forces(*given, load, test.time_step, state), seen, load
 
-    return at(now.network, now.membrane, now.state, now.params)
+@partial(jax.jit, static_argnums=(0, 1))
+def found_in(scene, dt, network, membrane, state, params):
+    """Forces, observation and load of a state."""
+    load = membrane_load(membrane, network.positions + state.displacement, *state.platens)
+    given = (scene, params, network)
+    return all_forces(*given, load, dt, state), observe(*given, membrane, load, dt, state), load
 
 
 # Reading back.
@@ -256,18 +258,26 @@ def test_stress_of_the_balls_is_the_love_weber_sum(moment, forces):
 
 
 def test_rigid_planes_take_their_part_in_the_stress():
-    """Confined between rigid planes, which meet at the axis: all inner stress balances platens and membrane, as without
-    them, and the planes push inward, on the balls that touch them."""
-    case = Case.model_validate(CASE | {"sector": {"boundary": "rigid"}})
-    test = case.build()
-    moment = snapshot(test, test._begin(test.params), full=True)
-    balls, (low, high) = moment.balls, moment.platens.heights
-    assert moment.balls.number.size == len(test.cut) and not moment.balls.image.any()
+    """A specimen shrunk away from equilibrium: all inner stress is what platens and membrane do, and what moves the
+    balls (virial theorem). The planes meet at the axis, so that their part drops out but for the arms."""
+    test = Case.model_validate(CASE | {"sector": {"boundary": "rigid"}}).build()
+    network, zero = test.network, np.zeros(())
+    platens = np.array([test.cut.bottom, test.cut.top])
+    state = initial_state(network, test.scene, platens)._replace(displacement=network.positions * -1e-3)
+    balance = Confinement(zero, zero, zero)
+    now = Progress(test.params, network, test.membrane, state, None, balance, test.cut.height, no_records())
+    moment = snapshot(test, now, full=True)
+    balls = moment.balls
+    assert balls.number.size == len(test.cut) and not balls.image.any()
+    found, _, _ = found_in(test.scene, test.time_step, network, now.membrane, state, now.params)
     xx, yy, zz = (np.sum(balls.stress[a, a] * 4 / 3 * np.pi * balls.radius**3) for a in range(3))
-    assert zz == pytest.approx(moment.platens.forces.mean() * (high - low), rel=1e-6)
-    inward = moment.confining_stress * balls.membrane_area
-    assert xx + yy == pytest.approx(np.sum(inward * (np.hypot(*balls.positions[:2]) + balls.radius)), rel=1e-6)
+    x, y, z = balls.positions * np.asarray(found.resultant)
+    inward = moment.confining_stress * balls.membrane_area * (np.hypot(*balls.positions[:2]) + balls.radius)
+    assert xx + yy == pytest.approx(np.sum(inward + x + y), rel=1e-10)
+    (low, high), (bottom, top) = platens, moment.platens.forces
+    assert zz == pytest.approx(np.sum(z) + top * high - bottom * low, rel=1e-10)
     assert np.sum(balls.positions[1] < balls.radius) > 3, "balls press on the planes"
+    assert xx == pytest.approx(yy, rel=1e-9)
 
 
 def test_images_are_turned_with_all_they_carry(moment):
@@ -525,7 +535,8 @@ def test_cells_section_and_specimen_show_every_ball_once(moment):
     assert len(upright.get_offsets()) == ((y > -0.3) & (y < 1.3)).sum()
     assert len(plan.get_offsets()) > 0
     (discs,) = drawn(pictures.specimen(moment), EllipseCollection)
-    colours = discs.get_facecolors()[:: pictures.SHADES]
+    colours = discs.get_facecolors()
+    colours = colours[:: len(colours) // moment.balls.number.size]
     blue = colours[:, 2] > colours[:, 0] + 0.1
     assert blue.size == moment.balls.number.size and blue.sum() == len(np.unique(moment.balls.number))
 
