@@ -80,7 +80,7 @@ def _curve_checks(result: Result) -> list[Check]:
             "mean resultant on a ball over the mean contact force: above a hundredth the test is not quasi-static",
         ),
         _at_most(
-            "platen against virial stress ratio at the peak", abs(platen / virial - 1), 0.05,
+            "platen against virial stress ratio at the peak", abs(platen / virial - 1), 0.1,
             f"{platen:.4g} from platen force and radius Rm, {virial:.4g} from forces alone: a wide gap means that Rm "
             "is not the radius at which the membrane acts",
         ),
@@ -125,16 +125,21 @@ def _state_checks(test: TriaxialTest, seen: Snapshot) -> list[Check]:
         ),
     ]  # fmt: skip
     if seen.membrane.number.size:
-        strip = seen.sector.angle * seen.membrane.radius * (top - bottom)
         balls = seen.balls
         inward = seen.confining_stress * balls.membrane_area * (np.hypot(*balls.positions[:2]) + balls.radius)
         sideways = float(((balls.stress[0, 0] + balls.stress[1, 1]) * volume).sum())
-        checks += [
+        checks.append(
             _at_most(
-                "membrane against internal stress", abs(sideways / inward.sum() - 1), 0.01,
+                "membrane against internal stress",
+                abs(sideways / inward.sum() - 1),
+                0.01,
                 "the balls' horizontal Love-Weber stress, summed over their volumes, is membrane force times its "
                 "distance from the axis in equilibrium",
-            ),
+            )
+        )
+    if seen.membrane.number.size and test.refresh:  # cells that keep their first areas do not follow the strip
+        strip = seen.sector.angle * seen.membrane.radius * (top - bottom)
+        checks += [
             _at_most(
                 "membrane cells tile the strip", abs(seen.membrane.area.sum() / strip - 1), 1e-4 if single else 1e-9,
                 "the cells' areas add up to the sector's part of the cylinder of radius Rm",

@@ -149,7 +149,7 @@ def _faces(polygons: list[np.ndarray], data: Mapping[str, np.ndarray]) -> "meshi
     first = np.cumsum(corners) - corners
     blocks: list[tuple[str, np.ndarray]] = []
     values: dict[str, list[np.ndarray]] = {name: [] for name in data}
-    for number in np.unique(corners):  # cells of one kind have one number of corners
+    for number in np.unique(corners) if polygons else [3]:  # cells of one kind have one number of corners
         which = np.flatnonzero(corners == number)
         blocks.append(("polygon", first[which, None] + np.arange(number)))
         for name, column in data.items():

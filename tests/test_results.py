@@ -321,7 +321,7 @@ def test_checks_pass_but_for_the_short_specimens_boundaries(result):
     checks = {check.name: check for check in result_checks(result, energy=True)}
     failed = [name for name, check in checks.items() if not check.passed]
     boundaries = [f"platen against {inner} stress ratio at the peak" for inner in ("virial", "core")]
-    assert failed == boundaries, "five layers of seventeen balls are not a continuum"
+    assert failed == boundaries, "five layers of seventeen balls are no continuum"
     assert checks["platen against internal stress"].value < 1e-4
     assert 0 < checks["energy ledger closes"].value < 1e-5
     assert checks["membrane cells tile the strip"].value < 1e-12
@@ -454,6 +454,19 @@ def test_index_has_strain_for_time_and_survives_stops(exported, result, tmp_path
     with pytest.raises(OSError, match="disk full"):
         paraview.SnapshotWriter(again, result.test)(result.progress)
     assert times(again) == times(folder) and not list(again.glob(".*"))
+
+
+def test_a_test_without_membrane_or_contacts_is_written_too(moment, tmp_path):
+    none = moment.contacts._replace(**{name: a[..., :0] for name, a in moment.contacts._asdict().items()})
+    bare = moment.membrane._replace(polygons=[], number=np.zeros(0, int), image=np.zeros(0, int), area=np.zeros(0))
+    bare = bare._replace(force=np.zeros(0))
+    for part, mesh in paraview.meshes(moment._replace(contacts=none, membrane=bare)).items():
+        mesh.write(tmp_path / f"{part}.vtu", file_format="vtu")
+    for part, count in (("balls", moment.balls.number.size), ("contacts", 0), ("membrane", 0), ("platens", 2)):
+        assert read_vtu(tmp_path / f"{part}.vtu")[1]["offsets"].size == count
+    assert pictures.force_network(moment._replace(contacts=none)).axes
+    with pytest.raises(ValueError, match="without a membrane"):
+        pictures.membrane_cells(moment._replace(membrane=bare))
 
 
 def test_vtk_reads_the_files(exported):
