@@ -265,11 +265,17 @@ class Study:
         return found
 
     def front(self, code: str, cores: int = 1) -> list[tuple[float, float, str]]:
-        """Points of a code that no other beats in both seconds and error, from the fastest."""
-        candidates = [
-            point for line, points in self.lines(code).items() for point in points
-            if self.points[point[2]]["setting"].get("cores", 1) <= cores and "closed form" not in line
-        ]  # fmt: skip
+        """Points of a code that no other beats in both seconds and error, from the fastest. A point counts with the
+        largest error of the slower ones on its line too, so that an error that happens to cross zero is no merit."""
+        candidates = []
+        for line, points in self.lines(code).items():
+            if "closed form" in line:
+                continue
+            worst = 0.0
+            for seconds, error, name in sorted(points, reverse=True):
+                worst = max(worst, error)
+                if self.points[name]["setting"].get("cores", 1) <= cores:
+                    candidates.append((seconds, worst, name))
         best, front = np.inf, []
         for point in sorted(candidates):
             if point[1] < best:
