@@ -291,7 +291,7 @@ def costs(groups) -> list[str]:
             lines.append(
                 f"- {name} on {row['device']}: {traffic['compiled']:.0f} bytes a ball-step as compiled, "
                 f"{traffic['least']:.0f} if everything were read and written once; at "
-                f"{traffic['bandwidth'] / 1e9:.0f} GB/s from memory that allows {limit / 1e6:.1f} M ball-steps/s, of "
+                f"{traffic['bandwidth'] / 1e9:.1f} GB/s from memory that allows {limit / 1e6:.1f} M ball-steps/s, of "
                 f"which {rate(row) / limit:.0%} is reached (caches allow more)."
             )
     return lines

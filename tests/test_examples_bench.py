@@ -88,13 +88,14 @@ def test_ratios_compare_runs_that_took_turns():
 
 def test_pareto_front_and_fastest_within_a_tolerance(tmp_path):
     study = speed_accuracy.Study(tmp_path, 25, 1)
-    made = [(0.1, 1.05), (0.2, 1.008), (0.3, 1.009), (0.4, 1.0005), (0.5, 1.02)]
+    # The second has no error by chance: the slower third has 2 %.
+    made = [(0.1, 1.05), (0.15, 1.0), (0.2, 1.02), (0.3, 1.008), (0.4, 1.009), (0.5, 1.0005)]
     study.points = {
         f"ours: platen speed: speed {i}": {"seconds": s, "cold": s, "peak": 2 * p, "steps": 1, "setting": {"speed": i}}
         for i, (s, p) in enumerate(made)
     } | {"reference ours": {"peak": 2.0, "steps": 1, "seconds": 1.0, "setting": {}}}
-    assert [point[0] for point in study.front("ours")] == [0.1, 0.2, 0.4]
-    assert study.fastest("ours", 1.0)[0] == 0.2 and study.fastest("ours", 0.1)[0] == 0.4
+    assert [point[0] for point in study.front("ours")] == [0.1, 0.15, 0.3, 0.5]
+    assert study.fastest("ours", 1.0)[0] == 0.3 and study.fastest("ours", 0.1)[0] == 0.5
     assert study.fastest("ours", 0.01) is None
     speed_accuracy.draw(study)
     assert (tmp_path / "speed_accuracy.png").stat().st_size > 10_000

@@ -250,6 +250,8 @@ def main() -> None:
     if not options.get("reverse"):
         axijax.fast_cpu_kernels()
     program = Program(options)
+    if options.get("what") == "batch":
+        batch(program, 1)  # compiles what a run needs
     print(json.dumps(program.describe()), flush=True)
     for line in sys.stdin:
         print(json.dumps(timed(program, options, json.loads(line).get("friction"))), flush=True)

@@ -50,7 +50,7 @@ def build(scene, options, lammps):
         "atom_style sphere",
         "atom_modify map array",
         "boundary f f f",
-        "newton off",
+        "newton on",
         "comm_modify vel yes",
         f"processors 1 1 {ranks}",
         f"region box block {low_x} {high_x} {low_y} {high_y} {bottom - 2 * radius} {top + 2 * radius}",
