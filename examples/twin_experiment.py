@@ -377,14 +377,19 @@ def redraw(folder: Path) -> None:
 
 
 def report(label, condition, methods) -> None:
-    print(f"\n({label}), {condition}, {max(map(len, methods.values()))} starts")
-    print(f"{'method':26s}{'median runs':>12s}{'at stop':>9s}{'solved':>8s}{'right at stop':>15s}{'s a fit':>9s}")
+    print(f"\n({label}), {condition}")
+    print(
+        f"{'method':26s}{'starts':>7s}{'median runs':>12s}{'at stop':>9s}{'solved':>8s}{'right at stop':>15s}{'s a fit':>9s}"
+    )
     for name, rows in methods.items():
         first, stop = np.array([row[4] for row in rows]), np.array([row[5] for row in rows])
         solved, right = np.isfinite(first).mean(), np.mean([row[6] for row in rows])
         seconds = np.median([row[7] for row in rows])
         middle = np.median(first)
-        print(f"{name:26s}{middle:12.1f}{np.median(stop):9.1f}{solved:8.0%}{right:15.0%}{seconds:9.1f}", flush=True)
+        print(
+            f"{name:26s}{len(rows):7d}{middle:12.1f}{np.median(stop):9.1f}{solved:8.0%}{right:15.0%}{seconds:9.1f}",
+            flush=True,
+        )
 
 
 def draw(curves, path: Path) -> None:

@@ -94,6 +94,12 @@ def test_too_few_numbers_and_too_long_data():
         fit_one(StandIn(), measured(StandIn()), "f")
 
 
+def test_an_estimate_at_its_bound_is_flagged():
+    found = fit_parameters(StandIn(), measured(StandIn(), **TRUTH), "f,kn", bounds={"f": (0.05, 0.15)})
+    assert found.estimate["friction"] == pytest.approx(0.15, rel=1e-3)
+    assert any("friction is at its bound" in text for text in found.warnings)
+
+
 def test_prior_makes_up_for_a_missing_number():
     found = fit_parameters(
         StandIn(), Datum(HardPeak(), 2.6, 0.02), "f,kn", priors={"kn": Prior(1.5e9, 0.1)}, jacobian="tangent"
