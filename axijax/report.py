@@ -6,6 +6,7 @@ opened offline and printed.
 
 import base64
 import io
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from html import escape
@@ -221,8 +222,7 @@ def _reproduce(result: Result) -> str:
     parts = [
         f"<p>With {escape(told)}, and the case below saved as case.toml:</p>",
         f"<pre>{escape(commands)}</pre>",
-        "<p>The same versions on the same kind of machine give the same numbers to the last bit; others agree to "
-        "rounding until the specimen collapses.</p>",
+        "<p>On the same machine these versions give the same numbers to the last bit.</p>",
     ]
     rows = [[name, value] for name, value in _flat(result.info) if name not in ("status", "message")]
     if rows:
@@ -247,6 +247,8 @@ def _glossary() -> str:
 def _shown(value) -> str:
     if value is None:
         return "left out"
+    if isinstance(value, list | tuple):  # a command line
+        return shlex.join(map(str, value))
     if isinstance(value, bool):
         return "true" if value else "false"
     return f"{value:g}" if isinstance(value, float) and float(f"{value:g}") == value else str(value)
