@@ -35,6 +35,7 @@ STEP = 0.03257881449471202 / 0.6  # critical for the paper's quarter with dashpo
 # A case, and the words of the one warning that it gets.
 WARNED = {
     "fast": ({"parameters": {"platen_speed": 0.1}, "test": {"axial_strain": 0.02}}, "inertial number 2.23e-03"),
+    "bcc": ({"specimen": {"kind": "bcc"}}, "does not stand without friction"),
     "soft": ({"parameters": SOFT}, "softness s3 r/kn = 5.0e-03"),
     "stiff": ({"parameters": STIFF}, "softness s3 r/kn = 6.7e-06"),
     "smooth": (
