@@ -11,6 +11,7 @@ from axijax import theory  # noqa: E402
 from axijax.dynamics import Params, Scene  # noqa: E402
 from axijax.packing import Specimen, fcc_cylinder, fcc_octagon  # noqa: E402
 from axijax.platform import fast_cpu_kernels  # noqa: E402
+from axijax.random_packing import platen_speed, random_cylinder  # noqa: E402
 from axijax.sector import Sector  # noqa: E402
 from axijax.triaxial import Curve, SimulationError, TriaxialTest, raise_for_status  # noqa: E402
 
@@ -25,6 +26,8 @@ __all__ = [
     "fast_cpu_kernels",
     "fcc_cylinder",
     "fcc_octagon",
+    "platen_speed",
     "raise_for_status",
+    "random_cylinder",
     "theory",
 ]
