@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from axijax.dynamics import Params, Scene
     from axijax.packing import Specimen, fcc_cylinder, fcc_octagon
     from axijax.platform import fast_cpu_kernels, use_compilation_cache
+    from axijax.random_packing import platen_speed, random_cylinder
     from axijax.sector import Sector
     from axijax.triaxial import Curve, SimulationError, TriaxialTest, raise_for_status
 
@@ -37,7 +38,9 @@ __all__ = [
     "fast_cpu_kernels",
     "fcc_cylinder",
     "fcc_octagon",
+    "platen_speed",
     "raise_for_status",
+    "random_cylinder",
     "theory",
     "use_compilation_cache",
 ]
@@ -47,6 +50,7 @@ _HOMES = {
     "dynamics": ("Params", "Scene"),
     "packing": ("Specimen", "fcc_cylinder", "fcc_octagon"),
     "platform": ("fast_cpu_kernels", "use_compilation_cache"),
+    "random_packing": ("platen_speed", "random_cylinder"),
     "sector": ("Sector",),
     "triaxial": ("Curve", "SimulationError", "TriaxialTest", "raise_for_status"),
 }

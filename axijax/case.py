@@ -53,6 +53,8 @@ ALLOWED: dict[str, dict[str, float]] = {
     "record_every": {"ge": 1},
     "confine_steps": {"ge": 1},
     "tolerance": {"gt": 0},
+    "confining_friction": {"ge": 0},
+    "rebuild_every": {"ge": 0},
 }
 
 # Fields of a test that are for studies in Python only.
@@ -65,6 +67,10 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
     "bcc": (("radius", "layers", "specimen_radius"), (1, 2, 4)),
     "hcp": (("radius", "layers", "specimen_radius"), (1, 3)),
     "sc": (("radius", "layers", "specimen_radius"), (1, 2, 4)),
+    "random": (
+        ("balls", "smallest_radius", "largest_radius", "aspect_ratio", "compaction_friction", "seed"),
+        (),  # made for the sector, whatever its order
+    ),
 }
 
 
@@ -106,13 +112,26 @@ def descriptions(source: type) -> dict[str, str]:
 class SpecimenCase(_Section):
     """The specimen, a full cylinder from which the sector is cut."""
 
-    kind: Literal["octagon", "fcc", "bcc", "hcp", "sc"] = Field(
-        "octagon", description="packing: FCC of octagonal section (the paper's), or a circular cylinder of a lattice"
+    kind: Literal["octagon", "fcc", "bcc", "hcp", "sc", "random"] = Field(
+        "octagon",
+        description="packing: FCC of octagonal section (the paper's), a circular cylinder of a lattice, random",
     )
     radius: float = Field(20.0, gt=0, description="ball radius [L]")
     layers: int = Field(25, ge=1, description="number of horizontal layers [-]")
     half_width: int = Field(9, ge=3, description="half width of the octagon in ball radii, odd [-]")
     specimen_radius: float = Field(200.0, gt=0, description="radius of the cylinder that holds the balls [L]")
+
+    balls: int = Field(2000, ge=10, description="balls in the full cylinder, a multiple of the sector's order [-]")
+    smallest_radius: float = Field(16.0, gt=0, description="smallest ball radius; radii are spread evenly [L]")
+    largest_radius: float = Field(24.0, gt=0, description="largest ball radius [L]")
+    aspect_ratio: float = Field(2.0, gt=0, description="height over diameter, met to some 10 % [-]")
+    compaction_friction: float = Field(
+        0.05,
+        ge=0,
+        le=1,
+        description="friction while it is compacted: 0 dense, 0.5 loose; see also confining_friction [-]",
+    )
+    seed: int = Field(0, ge=0, description="of the random numbers [-]")
 
     @model_validator(mode="after")
     def _takes(self) -> "SpecimenCase":
@@ -125,8 +144,13 @@ class SpecimenCase(_Section):
     def _taken(self, dump) -> dict[str, Any]:
         return {name: value for name, value in dump(self).items() if name in ("kind", *KINDS[self.kind][0])}
 
-    def build(self) -> Specimen:
+    def build(self, sector: Sector, params: Params) -> Specimen:
         options = {name: getattr(self, name) for name in KINDS[self.kind][0]}
+        if self.kind == "random":
+            from axijax.random_packing import linear, random_cylinder
+
+            grading = linear(options.pop("smallest_radius"), options.pop("largest_radius"))
+            return random_cylinder(sector=sector, grading=grading, params=params, **options)[0]
         if self.kind == "octagon":
             return fcc_octagon(**options)
         if self.kind == "fcc":
@@ -163,11 +187,12 @@ class Case(_Section):
     test: TestSection = TestSection()
 
     def build(self) -> TriaxialTest:
+        sector, params = Sector(**self.sector.model_dump()), Params(**self.parameters.model_dump())
         return TriaxialTest(
-            self.specimen.build(),
-            Sector(**self.sector.model_dump()),
+            self.specimen.build(sector, params),
+            sector,
             scene=Scene(**self.scene.model_dump()),
-            params=Params(**self.parameters.model_dump()),
+            params=params,
             **self.test.model_dump(),
         )
 
@@ -195,7 +220,9 @@ def default_case(kind: str = "octagon") -> Case:
         hint = _nearest(kind, KINDS) or f"must be one of {', '.join(KINDS)}."
         raise ValueError(f"kind = '{kind}': {hint}")
     sections: dict[str, Any] = {"specimen": {"kind": kind}}
-    if 4 not in KINDS[kind][1]:
+    if kind == "random":  # as loose as it was compacted, to the balance that a random packing can reach
+        sections["test"] = {"confining_friction": 0.05, "tolerance": 1e-3, "confine_steps": 100_000}
+    elif 4 not in KINDS[kind][1]:
         sections["sector"] = {"order": max(KINDS[kind][1])}
     return Case(**sections)
 
@@ -213,7 +240,7 @@ def to_toml(case: Case) -> str:
             if name == "specimen" and field not in ("kind", *KINDS[case.specimen.kind][0]):
                 continue
             default = about.default
-            if name == "sector" and field == "order":
+            if name == "sector" and field == "order" and KINDS[case.specimen.kind][1]:
                 allowed = f"{_allowed(about)}; this specimen takes {_listed(KINDS[case.specimen.kind][1])}"
             else:
                 allowed = _allowed(about)

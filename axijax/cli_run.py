@@ -18,7 +18,7 @@ Json = Annotated[bool, typer.Option("--json", help="One JSON object a line on st
 
 def new(
     file: Annotated[Path, typer.Argument(help="Case file to write (TOML).")],
-    kind: Annotated[str, typer.Option(help="Specimen: octagon, fcc, bcc, hcp or sc.")] = "octagon",
+    kind: Annotated[str, typer.Option(help="Specimen: octagon, fcc, bcc, hcp, sc or random.")] = "octagon",
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file where it exists.")] = False,
 ) -> None:
     """Write a case file in which every field is set to its default, with its unit and what is allowed.

@@ -9,10 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.stats import qmc
 
 from axijax.packing import Specimen
-from axijax.sector import Sector
+from axijax.sector import Sector, plane_normals
 
 
 class Pairs(NamedTuple):
@@ -70,8 +69,6 @@ def contact_statistics(cut: Specimen, sector: Sector) -> Contacts:
     z = cut.positions[2]
     held = cut.membrane_zone.astype(int) + (z - cut.radius < cut.bottom) + (z + cut.radius > cut.top)
     if sector.boundary == "rigid":
-        from axijax.sector import plane_normals
-
         held = held + (plane_normals(sector) @ cut.positions[:2] < cut.radius).sum(0)
     rattles = np.zeros(count, bool)
     while True:  # a ball held by a rattler alone is one too
@@ -92,6 +89,8 @@ def contact_statistics(cut: Specimen, sector: Sector) -> Contacts:
 
 def sample_points(sector: Sector, radius: float, bottom: float, top: float, number: int = 1 << 16) -> np.ndarray:
     """Evenly spread points of a sector of this radius between two heights (a Sobol sequence), (3, number) [L]."""
+    from scipy.stats import qmc  # takes long to import
+
     u = qmc.Sobol(3, scramble=False).random(number).T + 0.5 / number
     rho, theta = radius * np.sqrt(u[0]), sector.angle * u[1]
     return np.stack([rho * np.cos(theta), rho * np.sin(theta), bottom + (top - bottom) * u[2]])

@@ -26,6 +26,7 @@ RIGID = (3, 4, 6, 8, 12)
 INERTIAL_NUMBER = 2e-3
 COMPACTION_FRICTION = 0.05  # dense; without any friction a packing takes five times as long to settle
 WINDOW = 0.01  # axial strain over which a curve is averaged before its peak is taken
+PEAK_BEFORE = 0.08  # axial strain; later maxima are fluctuations about the critical state
 SMOOTH = ("axial_strain", "stress_ratio", "virial_ratio", "core_ratio", "volumetric_strain", "coordination_number")
 
 # (size, orders, orders between rigid planes, frictions, first seed, last seed + 1), in the order of importance; each
@@ -154,7 +155,7 @@ def numbers_of(found) -> dict[str, float]:
     curve = {key: np.array(found["curve"][key]) for key in SMOOTH}
     strain = curve["axial_strain"]
     ratio, volume = windowed(strain, curve["stress_ratio"]), windowed(strain, curve["volumetric_strain"])
-    peak = int(ratio.argmax())
+    peak = int(np.where(strain < PEAK_BEFORE, ratio, 0.0).argmax())
     near = np.abs(strain - strain[peak]) < WINDOW
     dilatancy = -np.polyfit(strain[near], volume[near], 1)[0]
     late = strain > strain[-1] - 0.04
