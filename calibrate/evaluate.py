@@ -137,7 +137,7 @@ class Evaluator:
     def _fresh(self, z, along, curve) -> Evaluation:
         """curve: of a run made before, or the RunFailed that it ended with."""
         start = time.perf_counter()
-        slopes, failed = None, None
+        slopes, failed, kept = None, None, None
         nothing = np.full(self.observed.size, np.nan)
         try:
             if along:

@@ -103,12 +103,12 @@ def corrected_by_run(evaluator, evaluation, prior_rows) -> np.ndarray | None:
     low, high = parameters.limits()
     here = np.clip(evaluation.coordinates, low, high)
     stiff = [names.index(name) for name in ("normal_stiffness", "shear_stiffness") if name in names]
-    directions = []
+    rows = []
     if with_friction:
-        directions.append(np.eye(len(names))[names.index("friction")])
+        rows.append(np.eye(len(names))[names.index("friction")])
     if with_stiffness:
-        directions.append(np.eye(len(names))[stiff].sum(axis=0))
-    directions = np.array(directions)
+        rows.append(np.eye(len(names))[stiff].sum(axis=0))
+    directions = np.array(rows)
     friction = parameters.values(here).get("friction", parameters.reference["friction"])
 
     def residual(moves):

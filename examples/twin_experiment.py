@@ -378,9 +378,16 @@ def redraw(folder: Path) -> None:
 
 def report(label, condition, methods) -> None:
     print(f"\n({label}), {condition}")
-    print(
-        f"{'method':26s}{'starts':>7s}{'median runs':>12s}{'at stop':>9s}{'solved':>8s}{'right at stop':>15s}{'s a fit':>9s}"
-    )
+    heads = {
+        "method": -26,
+        "starts": 7,
+        "median runs": 12,
+        "at stop": 9,
+        "solved": 8,
+        "right at stop": 15,
+        "s a fit": 9,
+    }
+    print("".join(f"{head:>{width}s}" if width > 0 else f"{head:{-width}s}" for head, width in heads.items()))
     for name, rows in methods.items():
         first, stop = np.array([row[4] for row in rows]), np.array([row[5] for row in rows])
         solved, right = np.isfinite(first).mean(), np.mean([row[6] for row in rows])
