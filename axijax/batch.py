@@ -26,9 +26,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax.batch_files import Stored, open_batch, read_member, slug, write_failure, write_member, write_summary
-from axijax.dynamics import Params, check_params, critical_time_step
+from axijax.dynamics import Params, check_params
 from axijax.results import writable_folder
-from axijax.triaxial import RECORDS, Curve, Progress, TriaxialTest, _check_step, _simulate, _warn_of_chatter
+from axijax.triaxial import RECORDS, Curve, Progress, TriaxialTest, _simulate, _warn_of_chatter, check_step
 
 __all__ = [
     "BatchResult", "Member", "Outcome", "open_batch", "parallel", "parameter_grid", "run_batch", "simulate_many",
@@ -361,7 +361,7 @@ def _acceptable() -> Callable[[Member], bool]:
                 known = (id(test), *(value for name, value in vars(params).items() if name != "friction"))
                 if known not in limits:
                     limits[known] = critical_time_step(test.scene, params, test.network)
-                _check_step(test.time_step, limits[known])
+                check_step(test.time_step, limits[known])
         except ValueError:
             return False
         return True

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax.case import Case
-from axijax.dynamics import SAFE_STEP, confined_stiffness, critical_time_step, initial_state
+from axijax.dynamics import confined_stiffness, initial_state
+from axijax.time_step import SAFE_STEP, critical_time_step
 from axijax.triaxial import Confinement, Progress, SimulationError, TriaxialTest, no_records
 
 # Steps that lattices need to be confined (1450 to 3200 of them, whatever their stiffness and stress).

@@ -145,7 +145,7 @@ def confined_force(params, network: Network, touching_within: float = 1e-3):
 
     From the mean stress s3 = sum(force * l) / (3 V) of a packing with branches l = r1 + r2 (Love-Weber). The volume V
     is that of the cylinder around the balls, a little more than the membrane's. Contacts are closed as in
-    `dynamics.critical_time_step`.
+    `time_step.critical_time_step`.
     """
     place, radius = network.positions, network.radius
     outer = (jnp.sqrt(place.x**2 + place.y**2) + radius).max()

@@ -14,11 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from axijax.confinement import Limits, confining_scene, roomy_lists, settle
-from axijax.dynamics import DEFAULT_STEP, Params, Scene, check_params, positions
+from axijax.dynamics import Params, Scene, check_params, positions
 from axijax.fabric import contact_statistics, inside_balls, measured, pairs_within, sample_points
 from axijax.membrane import build_membrane, membrane_radius
 from axijax.packing import Specimen
 from axijax.sector import Sector, plane_normals
+from axijax.time_step import DEFAULT_STEP
 from axijax.vector import from_rows
 from axijax.zone import outer_balls
 

@@ -37,13 +37,10 @@ from axijax.confinement import (
     wear,
 )
 from axijax.dynamics import (
-    DEFAULT_STEP,
-    SAFE_STEP,
     Params,
     Scene,
     State,
     check_params,
-    critical_time_step,
     initial_state,
     make_step,
     positions,
@@ -54,6 +51,7 @@ from axijax.observe import Observation, observe
 from axijax.packing import Specimen, cut_to_sector
 from axijax.platform import warn_where_batched
 from axijax.sector import Sector, radial_distance
+from axijax.time_step import DEFAULT_STEP, check_step, critical_time_step
 from axijax.update import FULL_LIST, Grid, grid_for, renew
 
 SEGMENT = 1000  # steps between looks at the run from outside: progress, rebuilding, errors
@@ -217,7 +215,7 @@ class TriaxialTest:
         if not (np.isfinite(step) and step > 0):
             raise ValueError(f"time_step = {step!r}: must be positive and finite [T].")
         if not self.allow_unsafe_step:
-            _check_step(step, limit)
+            check_step(step, limit)
         ramp = 8 * cut.height / wave_speed(self.scene, self.params, network)
         speed = 2 * float(self.params.platen_speed)
         duration = self.axial_strain * cut.height / speed + ramp / 2
@@ -300,7 +298,7 @@ class TriaxialTest:
         """Confined, and nothing sheared yet."""
         check_params(params, len(self.cut))
         if params is not self.params and not self.allow_unsafe_step:
-            _check_step(self.time_step, critical_time_step(self.scene, params, self.network))
+            check_step(self.time_step, critical_time_step(self.scene, params, self.network))
         limits = self.protocol.limits
         scene = confining_scene(self.scene, limits)
         network, membrane, confined, balance = settle(
@@ -412,14 +410,6 @@ def no_records() -> Observation:
     """An observation of no moment at all."""
     empty: Any = np.zeros(0)
     return Observation(*[empty] * len(Observation._fields))
-
-
-def _check_step(step, limit: float) -> None:
-    if step > SAFE_STEP * limit * (1 + 1e-9):
-        raise ValueError(
-            f"time_step = {step:.4g}: must be at most {SAFE_STEP:g} of the critical time step {limit:.4g}, that is "
-            f"{SAFE_STEP * limit:.4g}; beyond it contacts chatter and the strength falls without any other sign."
-        )
 
 
 def _warn_of_chatter(curve: Curve) -> None:

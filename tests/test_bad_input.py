@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from axijax.dynamics import Params, Scene, critical_time_step
+from axijax.dynamics import Params, Scene
 from axijax.membrane import build_membrane
 from axijax.neighbors import build_network
 from axijax.packing import Specimen, cut_to_sector, fcc_cylinder, fcc_octagon
 from axijax.sector import Sector
+from axijax.time_step import critical_time_step
 from axijax.triaxial import TriaxialTest
 
 NAN = float("nan")

@@ -18,13 +18,10 @@ from test_lattices import block, stress_after, unstrained
 
 from axijax.contact import Geometry, contact_forces, elastic_force, frictional_law, frictionless_force
 from axijax.dynamics import (
-    OVERLOAD,
-    SAFE_STEP,
     Params,
     Scene,
     check_params,
     contact_laws,
-    critical_time_step,
     initial_state,
     make_step,
 )
@@ -43,6 +40,7 @@ from axijax.theory import (
     hertz_impact_duration,
     hertz_impact_maximum_overlap,
 )
+from axijax.time_step import OVERLOAD, SAFE_STEP, critical_time_step
 from axijax.triaxial import TriaxialTest, raise_for_status
 from axijax.vector import Vector, from_rows, zeros
 from calibrate.fit import fit_parameters

@@ -35,7 +35,7 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
 import axijax  # noqa: E402
-from axijax.dynamics import DEFAULT_STEP  # noqa: E402
+from axijax.time_step import DEFAULT_STEP  # noqa: E402
 
 LARGE = 3000  # balls from which the search for the critical step takes longer than what is timed
 DIRECTIONS = ("friction", "normal_stiffness", "shear_stiffness")

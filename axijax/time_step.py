@@ -1,0 +1,156 @@
+"""The critical time step of a network, from its stiffest modes (host, SciPy's sparse eigenvalue solver)."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from axijax.dynamics import Params, Scene
+from axijax.hertz import confined_force, hertz_force, reduced_radius, tangent_stiffness
+from axijax.neighbors import Network
+from axijax.sector import plane_normals
+
+# Largest share of the critical time step that is accepted, and the share taken by default. Past the limit nothing
+# blows up: the Coulomb cap bounds the motion and the peak silently falls, so the limit is kept at arm's length.
+SAFE_STEP = 0.8
+DEFAULT_STEP = 0.6
+
+# Hertzian contacts grow stiffer under load, with the cube root of their force. The time step is chosen for contacts
+# with this many times the mean force under the confining stress: in a close packing at failure it is 2/(1 - f) times.
+OVERLOAD = 4.0
+
+
+def _stiffest(scene: Scene, params: Params, network: Network, touching_within: float):
+    """Tangent stiffness of the contacts if closed, normal and tangential, (C,) or numbers, and that of the contacts of
+    one plate as a function of the balls that touch it, its area and their overlaps [F/L] (host)."""
+    if scene.contact_law == "linear":
+        wall = float(params.platen_stiffness)
+        return float(params.normal_stiffness), float(params.shear_stiffness), lambda balls, area, overlap: wall
+    radius = np.asarray(network.radius, float)
+    force = OVERLOAD * confined_force(params, network, touching_within)
+    reduced = reduced_radius(network)
+    normal, shear = tangent_stiffness(
+        params, reduced, jnp.maximum(force, hertz_force(params, reduced, network.overlap))
+    )
+
+    def of_wall(balls, area, overlap):
+        share = np.asarray(network.weight)[balls].sum()
+        load = OVERLOAD * float(params.confining_stress) * area / max(share, 1e-3)
+        load = jnp.maximum(load, hertz_force(params, radius[balls], overlap))
+        return np.asarray(tangent_stiffness(params, radius[balls], load)[0])
+
+    return np.asarray(normal), np.asarray(shear), of_wall
+
+
+def critical_time_step(scene: Scene, params: Params, network: Network, touching_within: float = 1e-3) -> float:
+    """Largest stable time step 2/omega (sqrt(1 + xi^2) - xi) of the actual network [T] (host).
+
+    The least over all modes of the linearised system with every contact stuck, translations and spins together:
+    frequency omega, damping ratio xi from the dashpots, which lower the limit (O'Sullivan & Bray 2004 for the
+    undamped part). Found by a sparse eigenvalue solver. With dashpots it need not be the fastest mode's: where
+    ks < kn they damp spins more. Contacts count as closed where the gap is below touching_within of the ball's radius.
+
+    With contact_law = "hertz" the stiffness is that at the load to come: `OVERLOAD` times the mean contact force under
+    the confining stress, or at the overlap of the network where that is deeper.
+    """
+    from scipy.sparse.linalg import LinearOperator, eigsh
+
+    radius = np.asarray(network.radius, float)
+    closed = -np.asarray(network.overlap, float) < touching_within * radius.min()
+    first, second = np.asarray(network.first)[closed], np.asarray(network.second)[closed]
+    normal = (np.asarray(network.branch) / np.asarray(network.distance))[:, closed]
+    cos, sin = np.asarray(network.cos, float)[closed], np.asarray(network.sin, float)[closed]
+    share_of_contact = np.asarray(network.share, float)[closed]
+    mass = float(np.asarray(params.density)) * 4 / 3 * np.pi * radius**3
+    spins = scene.spins
+    share = np.asarray(network.weight, float)
+    free = np.asarray(network.free)
+    free = np.concatenate([free, free]) if spins else free
+    scale = np.stack([mass] * 3 + [0.4 * mass * radius**2] * (3 if spins else 0))
+    scale = 1 / np.sqrt(scale * share)
+    count = radius.size
+    normal_constant, shear_constant, wall_constant = _stiffest(scene, params, network, touching_within)
+    constants = [np.broadcast_to(k, network.first.shape)[closed] for k in (normal_constant, shear_constant)]
+    stiffness = constants[0], constants[1] * scene.friction
+    beta = float(np.asarray(params.damping_ratio)) if scene.damping == "dashpot" else 0.0
+    beta *= (5 / 6) ** 0.5 if scene.contact_law == "hertz" else 1.0
+    reduced = 1 / (1 / mass[first] + 1 / mass[second])
+    normal_viscosity, shear_viscosity = (2 * beta * np.sqrt(constant * reduced) for constant in stiffness)
+
+    # Ball-plate contacts, and those with rigid sector planes, as springs to the ground.
+    place = np.asarray(network.positions)
+    z = place[2]
+    lowest, highest = (z - radius).min(), (z + radius).max()
+    outer = (np.hypot(*place[:2]) + radius).max()
+    section = np.pi * outer**2 / network.sector.order
+    plates = [(z - radius - lowest, [0.0, 0.0, 1.0], section), (highest - z - radius, [0.0, 0.0, 1.0], section)]
+    if network.sector.boundary == "rigid":
+        for inward in plane_normals(network.sector):
+            plates.append((inward @ place[:2] - radius, [*inward, 0.0], outer * (highest - lowest)))
+    ground = []
+    for gap, direction, area in plates:
+        balls = np.flatnonzero(gap < touching_within * radius)
+        constant = np.broadcast_to(wall_constant(balls, area, -gap[balls]), balls.shape)
+        ground.append((balls, np.array(direction), constant, 2 * beta * np.sqrt(constant * mass[balls])))
+
+    def turned(vectors, sine):
+        x, y, z = vectors
+        return np.stack([cos * x - sine * y, sine * x + cos * y, z])
+
+    def collect(balls, vectors):
+        return np.stack([np.bincount(balls, row, count) for row in vectors])
+
+    def apply(vector, normal_constant, shear_constant, viscous):
+        motion = (vector.reshape(-1, count) * scale * free).reshape(-1, 3, count)
+        relative = motion[0][:, first] - turned(motion[0][:, second], sin)
+        if spins:
+            surface = radius * motion[1]
+            relative -= np.cross(surface[:, first] + turned(surface[:, second], sin), normal, axis=0)
+        along = (relative * normal).sum(0) * normal
+        force = share_of_contact * (normal_constant * along + shear_constant * (relative - along))
+        result = np.zeros_like(motion)
+        result[0] = collect(first, force) - collect(second, turned(force, -sin))
+        if spins:
+            arm = np.cross(force, normal, axis=0)
+            result[1] = radius * (collect(first, arm) + collect(second, turned(arm, -sin)))
+        for balls, direction, *constants in ground:
+            push = direction @ motion[0][:, balls]
+            result[0][:, balls] += constants[viscous] * share[balls] * direction[:, None] * push
+        return (result.reshape(-1, count) * scale * free).ravel()
+
+    size = scale.size
+
+    def stiff(vector):
+        return apply(vector, *stiffness, viscous=False)
+
+    def viscous(vector):
+        return apply(vector, normal_viscosity, shear_viscosity, viscous=True)
+
+    start = np.random.default_rng(0).standard_normal(size)
+
+    # Beside a margin of 0.8 three digits are enough where more would take minutes.
+    accuracy = 1e-6 if count < 3000 else 1e-3
+
+    def fastest(action):
+        operator = LinearOperator((size, size), action, dtype=float)
+        return eigsh(operator, k=1, which="LA", v0=start, tol=accuracy)[1][:, 0]
+
+    # At the limit dt a mode changes sign at every step, (dt^2 K + 2 dt C) u = 4 M u. Any u gives an upper bound; that
+    # of the largest eigenvalue at the last bound gives a better one, until none does. Without dashpots the first is it.
+    mode = fastest(stiff)
+    step = np.inf
+    while True:
+        square, rate = mode @ stiff(mode), mode @ viscous(mode)
+        if square <= 0:
+            raise ValueError("critical time step: no contact is closed, so there is no frequency to resolve.")
+        last, step = step, float(4 / (rate + np.sqrt(rate**2 + 4 * square)))
+        if rate == 0 or step > last * (1 - accuracy):
+            return min(step, last)
+        mode = fastest(lambda vector, dt=step: dt * stiff(vector) + 2 * viscous(vector))
+
+
+def check_step(step, limit: float) -> None:
+    """Raise ValueError where a time step [T] is longer than SAFE_STEP of the critical one."""
+    if step > SAFE_STEP * limit * (1 + 1e-9):
+        raise ValueError(
+            f"time_step = {step:.4g}: must be at most {SAFE_STEP:g} of the critical time step {limit:.4g}, that is "
+            f"{SAFE_STEP * limit:.4g}; beyond it contacts chatter and the strength falls without any other sign."
+        )
