@@ -20,12 +20,13 @@ else:
 
 if TYPE_CHECKING:
     from axijax import theory
+    from axijax.curve import Curve, SimulationError, raise_for_status
     from axijax.dynamics import Params, Scene
     from axijax.packing import Specimen, fcc_cylinder, fcc_octagon
     from axijax.platform import fast_cpu_kernels, use_compilation_cache
     from axijax.random_packing import platen_speed, random_cylinder
     from axijax.sector import Sector
-    from axijax.triaxial import Curve, SimulationError, TriaxialTest, raise_for_status
+    from axijax.triaxial import TriaxialTest
 
 __all__ = [
     "Curve",
@@ -47,12 +48,13 @@ __all__ = [
 
 # The module that each name is in; any other name is that of a module.
 _HOMES = {
+    "curve": ("Curve", "SimulationError", "raise_for_status"),
     "dynamics": ("Params", "Scene"),
     "packing": ("Specimen", "fcc_cylinder", "fcc_octagon"),
     "platform": ("fast_cpu_kernels", "use_compilation_cache"),
     "random_packing": ("platen_speed", "random_cylinder"),
     "sector": ("Sector",),
-    "triaxial": ("Curve", "SimulationError", "TriaxialTest", "raise_for_status"),
+    "triaxial": ("TriaxialTest",),
 }
 
 

@@ -26,9 +26,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax.batch_files import Stored, open_batch, read_member, slug, write_failure, write_member, write_summary
+from axijax.curve import RECORDS, Curve, warn_of_chatter
 from axijax.dynamics import Params, check_params
 from axijax.results import writable_folder
-from axijax.triaxial import RECORDS, Curve, Progress, TriaxialTest, _simulate, _warn_of_chatter, check_step
+from axijax.shear import simulate
+from axijax.time_step import check_step, critical_time_step
+from axijax.triaxial import Progress, TriaxialTest
 
 __all__ = [
     "BatchResult", "Member", "Outcome", "open_batch", "parallel", "parameter_grid", "run_batch", "simulate_many",
@@ -312,7 +315,7 @@ def _together(task: Sequence[Member], tell, done) -> None:
         tell(member.name, 0.0, 1.0)
     first = task[0].test
     try:
-        inputs = [(_numbers(m.test), jax.tree.map(jnp.asarray, m.parameters)) for m in task]
+        inputs = [(_prepared(m.test), jax.tree.map(jnp.asarray, m.parameters)) for m in task]
         same = all(member.test is first for member in task)
         # A test that all share is not stored once for each of them.
         numbers = inputs[0][0] if same else _stacked([numbers for numbers, _ in inputs])
@@ -329,18 +332,18 @@ def _together(task: Sequence[Member], tell, done) -> None:
             continue
         wanted = curve.axial_strain <= member.test.axial_strain
         curve = replace(curve, **{name: getattr(curve, name)[wanted] for name in RECORDS})
-        _warn_of_chatter(curve)
+        warn_of_chatter(curve)
         tell(member.name, 1.0, float(curve.stress_ratio[-1]))
         done(Outcome(member, curve, None, seconds))
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2))
 def _many(scene, protocol, same: bool, numbers, params):
-    return jax.vmap(partial(_simulate, scene, protocol), in_axes=(None if same else 0, 0))(numbers, params)
+    return jax.vmap(partial(simulate, scene, protocol), in_axes=(None if same else 0, 0))(numbers, params)
 
 
-def _numbers(test: TriaxialTest):
-    return jax.tree.map(jnp.asarray, test._numbers(test.network, test.membrane))
+def _prepared(test: TriaxialTest):
+    return jax.tree.map(jnp.asarray, test.prepared(test.network, test.membrane))
 
 
 def _stacked(trees):
@@ -373,7 +376,7 @@ def _chunks(members: Sequence[Member]) -> list[list[Member]]:
     """Members that one compiled program can run together: same scene, protocol and shapes."""
     groups: dict[Any, list[Member]] = {}
     for member in members:
-        leaves, structure = jax.tree.flatten((_numbers(member.test), member.parameters))
+        leaves, structure = jax.tree.flatten((_prepared(member.test), member.parameters))
         shapes = tuple((np.shape(leaf), str(jnp.result_type(leaf))) for leaf in leaves)
         groups.setdefault((member.test.scene, member.test.protocol, structure, shapes), []).append(member)
     return [group[i : i + CHUNK] for group in groups.values() for i in range(0, len(group), CHUNK)]

@@ -16,9 +16,11 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from axijax.confinement import Confinement
+from axijax.curve import RECORDS, Curve
 from axijax.dynamics import Params
 from axijax.results import curves_dataset, save_dataset, save_table, write_whole
-from axijax.triaxial import RECORDS, Confinement, Curve, TriaxialTest
+from axijax.triaxial import TriaxialTest
 
 if TYPE_CHECKING:
     import xarray

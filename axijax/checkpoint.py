@@ -19,10 +19,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from axijax.confinement import Confinement
+from axijax.curve import no_records
 from axijax.dynamics import initial_state
 from axijax.membrane import Load
 from axijax.results import write_whole
-from axijax.triaxial import Confinement, Progress, TriaxialTest, no_records
+from axijax.triaxial import Progress, TriaxialTest
 
 FORMAT = "axijax shear in progress"
 VERSION = 1

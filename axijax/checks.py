@@ -7,9 +7,11 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from axijax.confinement import STALE
+from axijax.curve import CHATTER
 from axijax.results import Result
 from axijax.snapshot import Snapshot, snapshot
-from axijax.triaxial import CHATTER, STALE, TriaxialTest
+from axijax.triaxial import TriaxialTest
 
 # Axial strain over which the energy ledger is kept, where it is asked for.
 LEDGER_STRAIN = 5e-4
@@ -164,27 +166,28 @@ def _energy_check(test: TriaxialTest) -> Check:
 
 def _ledger_error(test: TriaxialTest) -> float:
     """Largest share of the platens' work that is unaccounted for at the end of a shear."""
+    from axijax.confinement import current_load
     from axijax.energy import energy_balance, make_ledger_step, open_ledger
-    from axijax.triaxial import _fixed_load, _load, _ramp, _start_shear
+    from axijax.shear import fixed_load, platen_ramp, start_shear
 
     confined, _ = test.confine()
     network, membrane, params, dt = test.network, test.membrane, test.params, test.time_step
-    start = _start_shear(test.scene, network, confined)
-    fixed = _fixed_load(test.protocol, test._numbers(network, membrane), start)
-    step = make_ledger_step(test.scene, _ramp(test.ramp_time))
+    start = start_shear(test.scene, network, confined)
+    fixed = fixed_load(test.protocol, test.prepared(network, membrane), start)
+    step = make_ledger_step(test.scene, platen_ramp(test.ramp_time))
     seen = partial(energy_balance, test.scene)
 
     @jax.jit
     def shear(state):
         both = state, open_ledger(network.dtype)
-        first = seen(params, network, _load(membrane, network, state, fixed), dt, *both)
+        first = seen(params, network, current_load(membrane, network, state, fixed), dt, *both)
 
         def block(both, _):
-            load = _load(membrane, network, both[0], fixed)
+            load = current_load(membrane, network, both[0], fixed)
             return jax.lax.fori_loop(0, test.record_every, lambda _, b: step(params, network, load, dt, b), both), None
 
         both, _ = jax.lax.scan(block, both, None, length=test.protocol.blocks)
-        last = seen(params, network, _load(membrane, network, both[0], fixed), dt, *both)
+        last = seen(params, network, current_load(membrane, network, both[0], fixed), dt, *both)
         return (last.unaccounted - first.unaccounted) / last.platen_work
 
     return abs(float(shear(start)))

@@ -7,9 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax.case import Case
+from axijax.confinement import Confinement
+from axijax.curve import SimulationError, no_records
 from axijax.dynamics import confined_stiffness, initial_state
 from axijax.time_step import SAFE_STEP, critical_time_step
-from axijax.triaxial import Confinement, Progress, SimulationError, TriaxialTest, no_records
+from axijax.triaxial import Progress, TriaxialTest
 
 # Steps that lattices need to be confined (1450 to 3200 of them, whatever their stiffness and stress).
 CONFINEMENT_STEPS = 3000

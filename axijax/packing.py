@@ -196,9 +196,7 @@ _LAYERED = {
 }
 
 
-def lattice_cylinder(
-    lattice: str, radius: float = 20.0, layers: int = 25, specimen_radius: float = 200.0
-) -> Specimen:
+def lattice_cylinder(lattice: str, radius: float = 20.0, layers: int = 25, specimen_radius: float = 200.0) -> Specimen:
     """Prism of circular section of a "bcc", "hcp" or "sc" lattice: every site whose ball is within specimen_radius [L].
 
     A cube axis (the c axis in HCP) is vertical and goes through a ball of the lowest layer, so that sectors of order

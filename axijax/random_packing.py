@@ -338,7 +338,8 @@ def _compacted(loose: Specimen, sector: Sector, friction: float, params: Params,
     # The limit of twelve contacts a ball, which no ball of the smallest size exceeds (PHYSICS 3.5).
     dt = float(DEFAULT_STEP * np.sqrt(mass / (10 * max(float(params.normal_stiffness), float(params.shear_stiffness)))))
     limits = Limits(friction, tolerance, most_steps)
-    network, membrane, state, balance = settle(confining_scene(Scene(), limits), loose, network, membrane, params, dt, limits)
+    scene = confining_scene(Scene(), limits)
+    network, membrane, state, balance = settle(scene, loose, network, membrane, params, dt, limits)
     if not float(balance.worst) <= tolerance:
         raise RuntimeError(
             f"compaction of the random specimen stopped after {int(balance.steps)} steps at an unbalanced force of "

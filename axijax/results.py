@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from axijax.triaxial import RECORDS, Curve, TriaxialTest, curve_of
+from axijax.curve import RECORDS, Curve
+from axijax.triaxial import TriaxialTest, curve_of
 
 if TYPE_CHECKING:
     import xarray

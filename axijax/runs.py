@@ -28,8 +28,9 @@ from typing import Any
 
 from axijax.case import Case, load_case, to_toml
 from axijax.checkpoint import load_progress
+from axijax.curve import SimulationError
 from axijax.results import curves_dataset, save_dataset, save_run, writable_folder, write_whole
-from axijax.triaxial import Progress, Run, SimulationError, TriaxialTest
+from axijax.triaxial import Progress, Run, TriaxialTest
 
 CURVES = ("curve.nc", "curve.csv", "curve.png")
 FILES = ("case.toml", "run.json", "checkpoint.npz", "partial_curve.nc", *CURVES)

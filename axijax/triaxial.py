@@ -9,135 +9,40 @@ its `run` adds checks and a sentence for whatever went wrong.
 """
 
 import time
-import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from axijax.confinement import (
-    STALE,
     Confinement,
     Limits,
-    confine,
     confining_scene,
-    current_load,
-    farthest,
     rebuilt,
-    repeat,
     roomy_lists,
     settle,
-    unconfined,
     wave_speed,
     wear,
 )
-from axijax.dynamics import (
-    Params,
-    Scene,
-    State,
-    check_params,
-    initial_state,
-    make_step,
-    positions,
-)
+from axijax.curve import Curve, make_curve, no_records, raise_for_status, warn_of_chatter
+from axijax.dynamics import Params, Scene, State, check_params, positions
 from axijax.membrane import Load, Membrane, build_membrane, membrane_radius
 from axijax.neighbors import Network, build_network
-from axijax.observe import Observation, observe
+from axijax.observe import Observation
 from axijax.packing import Specimen, cut_to_sector
 from axijax.platform import warn_where_batched
-from axijax.sector import Sector, radial_distance
+from axijax.sector import Sector
+from axijax.shear import Prepared, Protocol, confine_test, fixed_load, shear_until_worn, simulate, start_shear
+from axijax.status import NOT_CONFINED
 from axijax.time_step import DEFAULT_STEP, check_step, critical_time_step
-from axijax.update import FULL_LIST, Grid, grid_for, renew
+from axijax.update import grid_for
 
 SEGMENT = 1000  # steps between looks at the run from outside: progress, rebuilding, errors
-CHATTER = 1e-3  # `observe.chatter` of a sound run is below zero; above this, contacts chatter
 CHECKPOINT_SECONDS = 60.0  # between checkpoints, where they are asked for
-
-# Bits of the status code that a run carries; `raise_for_status` turns them into sentences.
-NOT_FINITE, NOT_CONFINED, STALE_LIST, STALE_CELLS, ESCAPED, UNSTABLE = 1, 2, 4, 8, 16, 32
-
-REMEDIES = {
-    NOT_FINITE: "a position is no longer finite: the run is unstable; lower time_step or check the parameters",
-    NOT_CONFINED: "confinement did not reach the stated equilibrium; raise confine_steps or the tolerance",
-    STALE_LIST: (
-        "a ball moved more than half the skin of the contact list before it was rebuilt, so a contact may have been "
-        "missed; stop at a smaller axial_strain (past its peak a specimen may collapse), and beyond 2 % use `run`, "
-        "which rebuilds the list, or a smaller rebuild_every for `simulate`, which keeps it if that is zero"
-    ),
-    STALE_CELLS: (
-        "the membrane's balls have moved past one another since it was triangulated; stop at a smaller axial_strain, "
-        "and beyond 2 % use `run`, which triangulates again, or a smaller rebuild_every for `simulate`"
-    ),
-    FULL_LIST: (
-        "a ball has more neighbours, or the membrane more balls, than a list that is made anew inside `simulate` has "
-        "room for; use `run`, which makes room, or stop at a smaller axial_strain"
-    ),
-    ESCAPED: "a ball has left the membrane or passed a platen; lower time_step or stop at a smaller axial_strain",
-    UNSTABLE: (
-        "contacts chatter from step to step at the peak of the stress ratio, which is then wrong: the time step is too "
-        "long for these parameters; lower time_step"
-    ),
-}
-
-
-class SimulationError(RuntimeError):
-    """A run that went wrong; says what happened and what to do. `curve` holds what was computed."""
-
-    def __init__(self, message: str, curve: "Curve | None"):
-        super().__init__(message)
-        self.curve = curve
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Curve:
-    """The record of a test: fields of T values, compression positive. Stress ratios as in `observe.Observation`.
-
-    axial_strain: shortening over the height at the end of confinement [-].
-    volumetric_strain: loss of volume pi Rm^2 H over its value at the end of confinement [-].
-    confinement: what was observed at the end of confinement; stress_error there is |s1 - s3| / s3.
-    status: bits, zero for a sound run (see `raise_for_status`).
-    """
-
-    axial_strain: jax.Array
-    stress_ratio: jax.Array
-    virial_ratio: jax.Array
-    core_ratio: jax.Array
-    volumetric_strain: jax.Array
-    coordination_number: jax.Array
-    unbalanced_force: jax.Array
-    sliding_fraction: jax.Array
-    chatter: jax.Array
-    membrane_radius: jax.Array
-    confinement: Confinement
-    status: jax.Array
-
-
-# The fields of a curve that hold one value a record.
-RECORDS = tuple(f.name for f in fields(Curve) if f.name not in ("confinement", "status"))
-
-
-@dataclass(frozen=True)
-class Protocol:
-    """The numbers of a test that are not physics; static.
-
-    blocks, block_steps: the shear runs blocks * block_steps steps and records after each block.
-    refresh: find the membrane's cells again with every record; otherwise they keep their first areas.
-    limits: of confinement.
-    rebuild_every, grid: make the lists anew each time after so many blocks, by this grid; zero keeps them.
-    """
-
-    blocks: int
-    block_steps: int = 50
-    refresh: bool = True
-    limits: Limits = Limits()  # noqa: RUF009 (immutable)
-    rebuild_every: int = 0
-    grid: Grid | None = None
 
 
 @dataclass(frozen=True)
@@ -245,12 +150,12 @@ class TriaxialTest:
         more. Look at `status` of what comes back, or call `raise_for_status`.
         """
         params = warn_where_batched(params)
-        return _simulate(self.scene, self.protocol, self._numbers(self.network, self.membrane), params)
+        return simulate(self.scene, self.protocol, self.prepared(self.network, self.membrane), params)
 
     def confine(self, params: Params | None = None) -> tuple[State, Confinement]:
         """The state at the end of confinement, and how well it is balanced."""
-        numbers = self._numbers(self.network, self.membrane)
-        return _confined(self.scene, self.protocol, numbers, self.params if params is None else params)
+        prepared = self.prepared(self.network, self.membrane)
+        return confine_test(self.scene, self.protocol, prepared, self.params if params is None else params)
 
     def run(
         self,
@@ -291,7 +196,7 @@ class TriaxialTest:
                 save_progress(checkpoint, self, now)
         curve = curve_of(now, self.axial_strain)
         raise_for_status(curve.status, curve)
-        _warn_of_chatter(curve)
+        warn_of_chatter(curve)
         return Run(curve, now.network, now.membrane, now.state)
 
     def _begin(self, params: Params) -> "Progress":
@@ -306,8 +211,8 @@ class TriaxialTest:
         )  # fmt: skip
         if not float(balance.worst) <= self.tolerance:
             raise_for_status(NOT_CONFINED)
-        state = _start_shear(self.scene, network, confined)
-        fixed = _fixed_load(self.protocol, self._numbers(network, membrane), state)
+        state = start_shear(self.scene, network, confined)
+        fixed = fixed_load(self.protocol, self.prepared(network, membrane), state)
         height = float(state.platens[1] - state.platens[0])
         return Progress(params, network, membrane, state, fixed, balance, height, no_records())
 
@@ -321,8 +226,8 @@ class TriaxialTest:
             if self.cut.zone_rule == "exposure":
                 swelling *= radius_before / _radius_now(network, membrane, state)
         stretch = replace(self.protocol, blocks=-(-SEGMENT // self.record_every))
-        numbers = self._numbers(network, membrane)
-        state, seen, status, blocks = _shear_until_worn(self.scene, stretch, numbers, now.params, state, now.fixed)
+        prepared = self.prepared(network, membrane)
+        state, seen, status, blocks = shear_until_worn(self.scene, stretch, prepared, now.params, state, now.fixed)
         seen = jax.tree.map(lambda values: np.asarray(values)[: int(blocks)], seen)
         seen = seen._replace(membrane_radius=seen.membrane_radius * swelling)
         records = jax.tree.map(np.append, now.records, seen)
@@ -330,9 +235,10 @@ class TriaxialTest:
             raise_for_status(status, make_curve(records, now.confinement))
         return now._replace(network=network, membrane=membrane, state=state, records=records, swelling=swelling)
 
-    def _numbers(self, network: Network, membrane: Membrane):
+    def prepared(self, network: Network, membrane: Membrane) -> Prepared:
+        """What the pure functions of `axijax.shear` take, with these lists."""
         platens = jnp.asarray([self.cut.bottom, self.cut.top])
-        return network, membrane, platens, self.time_step, self.ramp_time, self.lateral_load
+        return Prepared(network, membrane, platens, float(self.time_step or 0), self.ramp_time, self.lateral_load)
 
 
 class Progress(NamedTuple):
@@ -394,184 +300,3 @@ class Run(NamedTuple):
 
 def _radius_now(network: Network, membrane: Membrane, state: State) -> float:
     return float(jax.jit(membrane_radius)(membrane, positions(network, state)))
-
-
-def raise_for_status(status, curve: Curve | None = None) -> None:
-    """Raise SimulationError, naming what went wrong and what to do, unless a curve's status bits are all zero."""
-    bits = int(np.bitwise_or.reduce(np.asarray(status).ravel()))
-    if bits & NOT_FINITE:  # of which all others are consequences
-        bits = NOT_FINITE
-    if bits:
-        reasons = [text for bit, text in REMEDIES.items() if bits & bit]
-        raise SimulationError("the test went wrong: " + "; ".join(reasons) + ".", curve)
-
-
-def no_records() -> Observation:
-    """An observation of no moment at all."""
-    empty: Any = np.zeros(0)
-    return Observation(*[empty] * len(Observation._fields))
-
-
-def _warn_of_chatter(curve: Curve) -> None:
-    """Warn of chatter that has died out by the peak: the peak is right, the curve before it is not."""
-    strain = curve.axial_strain[curve.chatter > CHATTER]
-    if strain.size:
-        warnings.warn(
-            f"contacts chattered between {100 * strain.min():.3g} and {100 * strain.max():.3g} % axial strain, though "
-            "not at the peak: the curve is inexact there; lower time_step.",
-            stacklevel=3,
-        )
-
-
-def _ramp(ramp_time):
-    """Platens moved inward at the platen speed, which is reached smoothly after ramp_time."""
-
-    def drive(params, state, dt, push, section):
-        x = jnp.clip((state.time + dt) / ramp_time, 0.0, 1.0).astype(push.dtype)
-        return jnp.array([1.0, -1.0], push.dtype) * params.platen_speed * x * x * (3 - 2 * x)
-
-    return drive
-
-
-def _fixed_load(protocol: Protocol, numbers, start: State) -> Load | None:
-    """The load that does not change during shear: one that was given, or the membrane's first where it is not
-    refreshed. None where the membrane's cells are followed."""
-    network, membrane, *_, given = numbers
-    if given is None and not protocol.refresh:
-        return current_load(membrane, network, start)
-    return given
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-def _shear(scene: Scene, protocol: Protocol, numbers, params: Params, state: State, fixed: Load | None):
-    """Shear on from a state: the state after all blocks, with the observation and the status before each block.
-
-    fixed: the lateral load where it does not follow the membrane's cells.
-    """
-    if protocol.rebuild_every:
-        return _shear_rebuilding(scene, protocol, numbers, params, state, fixed)
-    # Reverse mode keeps the state before each block and runs the block again on the way back.
-    block = jax.checkpoint(_shear_block(scene, protocol, numbers, params, fixed), prevent_cse=False)
-    state, (seen, status) = jax.lax.scan(block, state, None, length=protocol.blocks)
-    return state, seen, status
-
-
-def _shear_rebuilding(scene: Scene, protocol: Protocol, numbers, params: Params, state: State, fixed: Load | None):
-    """As `_shear`, with contact list and membrane made anew each time after protocol.rebuild_every blocks."""
-    network, membrane, *others = numbers
-    stretch = replace(protocol, blocks=protocol.rebuild_every, rebuild_every=0)
-
-    def further(carry, _):
-        network, membrane, state = carry
-        state, seen, status = _shear(scene, stretch, (network, membrane, *others), params, state, fixed)
-        network, membrane, state, bits = renew(protocol.grid, network, membrane, state)
-        return (network, membrane, state), (seen, status | bits)
-
-    start = network, membrane, state
-    stretches = -(-protocol.blocks // protocol.rebuild_every)
-    (_, _, state), (seen, status) = jax.lax.scan(further, start, None, length=stretches)
-    seen, status = jax.tree.map(lambda values: values.reshape(-1, *values.shape[2:])[: protocol.blocks], (seen, status))
-    return state, seen, status
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-def _shear_until_worn(scene: Scene, protocol: Protocol, numbers, params: Params, state: State, fixed: Load | None):
-    """As `_shear`, but stops where a list is worn: a free ball may fly through half the skin within one stretch.
-
-    Returns the number of blocks as well; what was observed fills so many places of arrays of protocol.blocks. The
-    status is that of these blocks together.
-    """
-    network, membrane, *_ = numbers
-    block = _shear_block(scene, protocol, numbers, params, fixed)
-    empty = jax.eval_shape(block, state, None)[1][0]
-    records = jax.tree.map(lambda value: jnp.zeros((protocol.blocks, *value.shape), value.dtype), empty)
-
-    def going(carry):
-        state, _, _, number = carry
-        return (number < protocol.blocks) & ((number == 0) | (wear(network, membrane, state).max() <= 1))
-
-    def further(carry):
-        state, records, bits, number = carry
-        state, (seen, status) = block(state, None)
-        records = jax.tree.map(lambda values, value: values.at[number].set(value), records, seen)
-        return state, records, bits | status, number + 1
-
-    nothing = jnp.zeros((), jnp.int32)
-    state, records, bits, number = jax.lax.while_loop(going, further, (state, records, nothing, nothing))
-    return state, records, bits, number
-
-
-def _shear_block(scene: Scene, protocol: Protocol, numbers, params: Params, fixed: Load | None):
-    """A function of a state that observes it, and takes it one block of steps further; a scan's body."""
-    network, membrane, _, dt, ramp_time, _ = numbers
-    step = make_step(scene, _ramp(ramp_time))
-
-    def block(state, _):
-        load = current_load(membrane, network, state, fixed)
-        seen = observe(scene, params, network, membrane, load, dt, state)
-        status = _trouble(network, membrane, state, load)
-        state = repeat(lambda s: step(params, network, load, dt, s), protocol.block_steps, state)
-        return state, (seen, status)
-
-    return block
-
-
-def _trouble(network: Network, membrane: Membrane, state: State, load: Load) -> jax.Array:
-    """Status bits of one state."""
-    place = positions(network, state)
-    rho = radial_distance(place)
-    zone = membrane.share > 0
-    mean_rho = jnp.where(zone, rho[membrane.zone], 0.0).sum() / zone.sum()
-    finite = jnp.stack([jnp.isfinite(part).all() for part in (*state.displacement, *state.velocity)]).all()
-    bits = jnp.where(finite, 0, NOT_FINITE)
-    bits |= jnp.where(2 * farthest(state) > network.skin, STALE_LIST, 0)
-    bits |= jnp.where(load.stale > STALE, STALE_CELLS, 0)
-    inside = (place.z > state.platens[0]) & (place.z < state.platens[1]) & (rho < 1.5 * mean_rho)
-    return bits | jnp.where(inside.all(), 0, ESCAPED)
-
-
-def _confined(scene: Scene, protocol: Protocol, numbers, params: Params) -> tuple[State, Confinement]:
-    """Confinement with one contact list throughout."""
-    network, membrane, platens, dt, _, fixed = numbers
-    scene = confining_scene(scene, protocol.limits)
-    start = initial_state(network, scene, platens), unconfined(network.dtype)
-    return confine(scene, False, protocol.limits, (network, membrane), dt, fixed, params, start)
-
-
-def _start_shear(scene: Scene, network: Network, confined: State) -> State:
-    """The test's friction on, balls and platens from rest; springs of a frictional confinement are kept, or else start
-    from nothing."""
-    rest = initial_state(network, scene, confined.platens)
-    spring = rest.spring if confined.spring is None or rest.spring is None else confined.spring
-    return rest._replace(displacement=confined.displacement, spring=spring)
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-def _simulate(scene: Scene, protocol: Protocol, numbers, params: Params) -> Curve:
-    network = numbers[0]
-    confined, balance = _confined(scene, protocol, numbers, params)
-    start = _start_shear(scene, network, confined)
-    _, seen, status = _shear(scene, protocol, numbers, params, start, _fixed_load(protocol, numbers, start))
-    settled = balance.worst <= protocol.limits.tolerance
-    status = jnp.bitwise_or.reduce(status) | jnp.where(settled, 0, NOT_CONFINED)
-    return make_curve(seen, balance, status)
-
-
-def make_curve(seen: Observation, balance: Confinement, status=0) -> Curve:
-    """A curve from T observations, strains counted from the first."""
-    status = status | jnp.where(seen.chatter[jnp.argmax(seen.stress_ratio)] > CHATTER, UNSTABLE, 0)
-    volume = seen.membrane_radius**2 * seen.height
-    return Curve(
-        axial_strain=1 - seen.height / seen.height[0],
-        stress_ratio=seen.stress_ratio,
-        virial_ratio=seen.virial_ratio,
-        core_ratio=seen.core_ratio,
-        volumetric_strain=1 - volume / volume[0],
-        coordination_number=seen.coordination_number,
-        unbalanced_force=seen.unbalanced_force,
-        sliding_fraction=seen.sliding_fraction,
-        chatter=seen.chatter,
-        membrane_radius=seen.membrane_radius,
-        confinement=balance,
-        status=status,
-    )

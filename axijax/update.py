@@ -23,11 +23,9 @@ from axijax.membrane import Membrane, membrane_arrays
 from axijax.neighbors import Network, build_network
 from axijax.packing import Specimen
 from axijax.sector import Sector
+from axijax.status import FULL_LIST, NOT_FINITE, STALE_CELLS, STALE_LIST
 from axijax.vector import Vector, zeros
 from axijax.zone import zone_found_again
-
-# Bits of the status code of a run, see `axijax.triaxial.REMEDIES`.
-NOT_FINITE, STALE_LIST, STALE_CELLS, FULL_LIST = 1, 4, 8, 256
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """What is compared: named numbers read off a curve, each with exact derivatives.
 
-A functional is called with anything that has the arrays of `axijax.triaxial.Curve` (axial_strain, stress_ratio, ...
+A functional is called with anything that has the arrays of `axijax.Curve` (axial_strain, stress_ratio, ...
 of T values, compression positive, strain as a fraction) and returns one number; it can stand inside jit and jvp.
 A peak is only defined once it is said which one: the hard maximum over records is the noisiest and its tangent
 that of one record, the window mean is the smoothest (PHYSICS 4). `Datum` pairs a functional with a measurement.

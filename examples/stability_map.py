@@ -24,10 +24,11 @@ import axijax  # noqa: E402
 
 axijax.fast_cpu_kernels()
 
+from axijax.curve import CHATTER  # noqa: E402
 from axijax.dynamics import mass_per_cube  # noqa: E402
 from axijax.results import save_table  # noqa: E402
+from axijax.status import UNSTABLE  # noqa: E402
 from axijax.time_step import SAFE_STEP, critical_time_step  # noqa: E402
-from axijax.triaxial import CHATTER, UNSTABLE  # noqa: E402
 
 DAMPING = {
     "local damping 0.7": ("local", 0.0),

@@ -21,7 +21,7 @@ from axijax import platform
 from axijax.batch import Member, open_batch, parallel, parameter_grid, run_batch, simulate_many
 from axijax.batch_files import key
 from axijax.cli_batch import load_sweep
-from axijax.triaxial import RECORDS
+from axijax.curve import RECORDS
 
 sys.path.insert(0, str(Path(__file__).parent))
 from batch_process import FRICTION, members, tiny

@@ -16,8 +16,9 @@ from axijax.membrane import Load
 from axijax.neighbors import build_network
 from axijax.packing import Specimen, cut_to_sector, fcc_octagon
 from axijax.sector import Sector
+from axijax.shear import platen_ramp, start_shear
 from axijax.theory import dashpot_restitution, local_damping_restitution, slide_to_roll
-from axijax.triaxial import TriaxialTest, _ramp, _start_shear
+from axijax.triaxial import TriaxialTest
 from axijax.vector import from_rows
 
 balance_of = jit(energy_balance, static_argnums=0)
@@ -251,7 +252,7 @@ def sheared(test: TriaxialTest, fraction: float, scene: Scene):
     """Balances (T,) over the shear at this fraction of the default step, the membrane refreshed as in the test."""
     confined, _ = test.confine()
     network, membrane, params, dt = test.network, test.membrane, test.params, fraction * test.time_step
-    step = make_ledger_step(scene, _ramp(test.ramp_time))
+    step = make_ledger_step(scene, platen_ramp(test.ramp_time))
     blocks, block_steps = test.protocol.blocks, round(test.record_every / fraction)
 
     @jax.jit
@@ -263,7 +264,7 @@ def sheared(test: TriaxialTest, fraction: float, scene: Scene):
 
         return jax.lax.scan(block, (state, open_ledger()), None, length=blocks)[1]
 
-    return jax.tree.map(np.asarray, shear(_start_shear(scene, network, confined)))
+    return jax.tree.map(np.asarray, shear(start_shear(scene, network, confined)))
 
 
 @pytest.mark.slow

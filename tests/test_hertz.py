@@ -17,6 +17,7 @@ from scipy.integrate import quad, solve_ivp
 from test_lattices import block, stress_after, unstrained
 
 from axijax.contact import Geometry, contact_forces, elastic_force, frictional_law, frictionless_force
+from axijax.curve import raise_for_status
 from axijax.dynamics import (
     Params,
     Scene,
@@ -41,7 +42,7 @@ from axijax.theory import (
     hertz_impact_maximum_overlap,
 )
 from axijax.time_step import OVERLOAD, SAFE_STEP, critical_time_step
-from axijax.triaxial import TriaxialTest, raise_for_status
+from axijax.triaxial import TriaxialTest
 from axijax.vector import Vector, from_rows, zeros
 from calibrate.fit import fit_parameters
 from calibrate.measured import MeasuredCurve

@@ -21,6 +21,9 @@ from typer.testing import CliRunner
 from axijax import paraview, pictures, plot, results
 from axijax.case import Case
 from axijax.checks import result_checks
+from axijax.confinement import Confinement
+from axijax.curve import RECORDS as CURVE_RECORDS
+from axijax.curve import no_records
 from axijax.dynamics import all_forces, initial_state
 from axijax.membrane import membrane_load
 from axijax.observe import observe
@@ -29,8 +32,7 @@ from axijax.results import RECORDS, open_result, open_results
 from axijax.runs import run_case
 from axijax.snapshot import snapshot
 from axijax.theory import fcc_stress_ratio
-from axijax.triaxial import RECORDS as CURVE_RECORDS
-from axijax.triaxial import Confinement, Progress, no_records
+from axijax.triaxial import Progress
 from axijax.vector import Vector
 from calibrate import MeasuredCurve
 

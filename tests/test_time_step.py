@@ -11,13 +11,15 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from axijax import theory
+from axijax.curve import CHATTER, SimulationError
 from axijax.dynamics import Params, Scene, initial_state, make_step, positions
 from axijax.membrane import Load, membrane_load
 from axijax.neighbors import build_network
 from axijax.packing import Specimen, cut_to_sector, fcc_octagon
 from axijax.sector import Sector
+from axijax.status import UNSTABLE
 from axijax.time_step import SAFE_STEP, critical_time_step
-from axijax.triaxial import CHATTER, UNSTABLE, SimulationError, TriaxialTest
+from axijax.triaxial import TriaxialTest
 from axijax.vector import Vector
 
 RADIUS, STIFFNESS, DENSITY = 20.0, 1.5e9, 2000.0

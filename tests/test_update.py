@@ -11,10 +11,11 @@ import pytest
 from test_neighbors import ANY_OVERLAP, every_pair, from_both_sides, listed, random_balls
 
 from axijax import triaxial
+from axijax.dynamics import Params
 from axijax.neighbors import build_network, carry_springs
 from axijax.packing import fcc_octagon
 from axijax.sector import Sector
-from axijax.triaxial import Params, TriaxialTest
+from axijax.triaxial import TriaxialTest
 from axijax.update import FULL_LIST, NOT_FINITE, STALE_LIST, Grid, allocate, update
 from axijax.vector import from_rows
 

@@ -87,25 +87,26 @@ class Program:
         self.compile_seconds = time.perf_counter() - began
 
     def _shear(self, options, test):
-        from axijax.triaxial import _fixed_load, _shear, _start_shear, make_curve
+        from axijax.curve import make_curve
+        from axijax.shear import fixed_load, shear, start_shear
 
         confined, balance = test.confine()
-        numbers = test._numbers(test.network, test.membrane)
-        state = _start_shear(test.scene, test.network, confined)
+        prepared = test.prepared(test.network, test.membrane)
+        state = start_shear(test.scene, test.network, confined)
         slopes = options.get("what") == "slopes"
         protocol = test.protocol if slopes else replace(test.protocol, refresh=False, blocks=options["blocks"])
-        fixed = _fixed_load(protocol, numbers, state)
+        fixed = fixed_load(protocol, prepared, state)
         if "scene" in options:
             import peers
 
             peers.write_scene(Path(options["scene"]), test, state, fixed)
         self.steps = protocol.blocks * protocol.block_steps
 
-        def function(params, numbers, state, fixed):
-            seen = _shear(test.scene, protocol, numbers, params, state, fixed)[1]
+        def function(params, prepared, state, fixed):
+            seen = shear(test.scene, protocol, prepared, params, state, fixed)[1]
             return functionals(make_curve(seen, balance)) if slopes else seen.stress_ratio
 
-        return function, (numbers, state, fixed)
+        return function, (prepared, state, fixed)
 
     def _many(self, function):
         """All tests in one program, off the CPU."""
@@ -169,10 +170,10 @@ class Program:
         """Bytes moved per ball-step: as the compiled step does it, and at the least (everything once); and the
         device's bandwidth [bytes/s], measured by a copy far larger than its caches."""
         from axijax.dynamics import make_step
-        from axijax.triaxial import _ramp
+        from axijax.shear import platen_ramp
 
         params, (network, *_, dt, ramp_time, _), state, fixed = self.arguments
-        step = jax.jit(make_step(self.test.scene, _ramp(ramp_time)))
+        step = jax.jit(make_step(self.test.scene, platen_ramp(ramp_time)))
         cost = step.lower(params, network, fixed, dt, state).compile().cost_analysis()
         nbytes = [sum(x.nbytes for x in jax.tree.leaves(tree) if hasattr(x, "nbytes")) for tree in (network, state)]
         big = jnp.zeros(2**27 if jax.default_backend() != "cpu" else 2**25, jnp.float32)

@@ -79,10 +79,6 @@ def test_friction_per_ball_adds_up_to_the_scenes(small):
 
 
 def test_a_scene_without_friction_ignores_the_coefficient(small):
-    lean = TriaxialTest(
-        small.specimen, small.sector, scene=Scene(friction=False), axial_strain=0.001, record_every=20
-    )
-    _, slope = jax.jvp(
-        lambda f: lean.simulate(replace(lean.params, friction=f)).stress_ratio[-1], (0.1,), (1.0,)
-    )
+    lean = TriaxialTest(small.specimen, small.sector, scene=Scene(friction=False), axial_strain=0.001, record_every=20)
+    _, slope = jax.jvp(lambda f: lean.simulate(replace(lean.params, friction=f)).stress_ratio[-1], (0.1,), (1.0,))
     assert float(slope) == 0.0

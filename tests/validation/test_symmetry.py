@@ -8,7 +8,7 @@ from axijax import Sector, TriaxialTest, fcc_octagon, raise_for_status
 from axijax.dynamics import initial_state, make_step, positions
 from axijax.membrane import membrane_load
 from axijax.packing import cut_to_sector
-from axijax.triaxial import _ramp
+from axijax.shear import platen_ramp
 
 ORDERS = (1, 2, 4)
 
@@ -44,7 +44,7 @@ def test_positions_agree_from_one_symmetric_state(tests):
         displacement = Sector(4).rotate(np.asarray(confined.displacement)[:, ball], image)
         state = initial_state(test.network, test.scene, confined.platens)
         state = state._replace(displacement=type(state.displacement)(*displacement))
-        step = make_step(test.scene, _ramp(test.ramp_time))
+        step = make_step(test.scene, platen_ramp(test.ramp_time))
         load = membrane_load(test.membrane, positions(test.network, state), *state.platens)
 
         def advance(s, step=step, test=test, load=load):

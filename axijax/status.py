@@ -1,0 +1,27 @@
+"""Status bits: what only a run itself can see go wrong, and the sentence for each."""
+
+# Bits of the status code that a run carries; `curve.raise_for_status` turns them into sentences.
+NOT_FINITE, NOT_CONFINED, STALE_LIST, STALE_CELLS, ESCAPED, UNSTABLE, FULL_LIST = 1, 2, 4, 8, 16, 32, 256
+
+REMEDIES = {
+    NOT_FINITE: "a position is no longer finite: the run is unstable; lower time_step or check the parameters",
+    NOT_CONFINED: "confinement did not reach the stated equilibrium; raise confine_steps or the tolerance",
+    STALE_LIST: (
+        "a ball moved more than half the skin of the contact list before it was rebuilt, so a contact may have been "
+        "missed; stop at a smaller axial_strain (past its peak a specimen may collapse), and beyond 2 % use `run`, "
+        "which rebuilds the list, or a smaller rebuild_every for `simulate`, which keeps it if that is zero"
+    ),
+    STALE_CELLS: (
+        "the membrane's balls have moved past one another since it was triangulated; stop at a smaller axial_strain, "
+        "and beyond 2 % use `run`, which triangulates again, or a smaller rebuild_every for `simulate`"
+    ),
+    FULL_LIST: (
+        "a ball has more neighbours, or the membrane more balls, than a list that is made anew inside `simulate` has "
+        "room for; use `run`, which makes room, or stop at a smaller axial_strain"
+    ),
+    ESCAPED: "a ball has left the membrane or passed a platen; lower time_step or stop at a smaller axial_strain",
+    UNSTABLE: (
+        "contacts chatter from step to step at the peak of the stress ratio, which is then wrong: the time step is too "
+        "long for these parameters; lower time_step"
+    ),
+}
