@@ -398,9 +398,9 @@ def draw_peaks(study: Study, path: Path) -> None:
     def line(axes, points, colour, marker, text, size=6, **style):
         x, y = np.array([(seconds, max(error, LEAST)) for seconds, error, _ in sorted(points)]).T
         axes.plot(x, y, color=colour, marker=marker, ms=size, lw=size / 5, **style)
-        away = np.log(x / default[0]) ** 2 + np.log(y / default[1]) ** 2 if default and axes is left else x / y
-        end = int(np.argmax(away))
         if text:
+            away = np.log(x / default[0]) ** 2 + np.log(y / default[1]) ** 2 if default else x / y
+            end = int(np.argmax(away))
             labels[axes is right].append((x[end], y[end], text, colour))
 
     for knob, points in ours.items():
@@ -417,7 +417,7 @@ def draw_peaks(study: Study, path: Path) -> None:
             by_speed = [point for point in points if study.points[point[2]]["setting"]["share"] == largest]
             by_step = [point for point in points if study.points[point[2]]["setting"]["speed"] == 1]
             text = f"{code}, {damping}" + (", 2 cores" if cores.startswith("2") else "")
-            line(right, by_speed, colour, "s" if code == LAMMPS else "^", text, **style)
+            line(right, by_speed, colour, "s" if code == LAMMPS else "^", "", label=text, **style)
             if len(by_step) > 1:
                 line(right, by_step, colour, "x", "", 4, **(style | {"mfc": None}))
         if code == "ours" and (front := study.front(code)):
@@ -435,6 +435,8 @@ def draw_peaks(study: Study, path: Path) -> None:
         axes.axhline(1.0, color=GREY, lw=0.7), axes.axhline(0.1, color=GREY, lw=0.7)
         low, high = axes.get_xlim()
         axes.set_xlim(low / 1.1, high * (2.2 if axes is left else 3.0))
+    if right.get_legend_handles_labels()[0]:
+        right.legend(frameon=False, loc="upper right")
     left.set_ylabel("error of the peak stress ratio [%]")
     left.set_title("Every knob of the simulator, one at a time from the defaults", loc="left", fontsize=11)
     right.set_title(
