@@ -203,8 +203,12 @@ def by_grainlearning(tutorial: bool):
         )
         with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            calibration.run()
-        return history(evaluator.evaluations, 0.0, problem.data), np.asarray(calibration.get_most_prob_params())
+            try:
+                calibration.run()
+                end = np.asarray(calibration.get_most_prob_params())
+            except ValueError:  # its mixture model takes no NaN, into which its weights may have collapsed
+                end = np.full(len(low), np.nan)
+        return history(evaluator.evaluations, 0.0, problem.data), end
 
     return method
 
