@@ -22,8 +22,20 @@ app = typer.Typer(
 )
 
 
+def _tell_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        print(f"axijax {version('axijax')}, jax {version('jax')}")
+        raise typer.Exit
+
+
 @app.callback()
-def common() -> None:
+def common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Versions of axijax and jax.")
+    ] = False,
+) -> None:
     """Differentiable discrete element triaxial tests on an axisymmetric sector."""
 
 

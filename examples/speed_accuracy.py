@@ -470,17 +470,18 @@ def draw_gradients(study: Study, path: Path) -> None:
                 lines.setdefault(name.split(": ")[1], []).append((point["seconds"], error, name.split(": ")[2]))
         for line, points in lines.items():
             colour, marker = styles.get(line, (GREEN if line.endswith("1") else RED, "s"))
+            if line not in styles:  # of the differences' steps h, which cost the same, the best and the worst
+                points = [best(points, key=lambda point: point[1]) for best in (min, max)]
+                points = [
+                    (*point[:2], f"{point[2]} ({which})")
+                    for point, which in zip(points, ("best", "worst"), strict=True)
+                ]
             x, y = np.array([point[:2] for point in points]).T
-            connected = "-" if line in styles else ""
-            axes.plot(x, y, color=colour, marker=marker, ls=connected, lw=1.2, ms=7)
-            if line in styles:
-                labels += [(s, e, f"{line}, {text}", colour) for s, e, text in points]
-            else:  # the h of every difference, and at the worst what they are
-                worst = max(points, key=lambda point: point[1])
-                labels += [(s, e, text + (f" ({line})" if text == worst[2] else ""), colour) for s, e, text in points]
+            axes.plot(x, y, color=colour, marker=marker, ls="-", lw=1.2, ms=7)
+            labels += [(s, e, f"{line}, {text}", colour) for s, e, text in points]
         log_axes(axes, "seconds of the shear, one core, compiled", "")
         low, high = axes.get_xlim()
-        axes.set_xlim(low / 1.2, high * 2)
+        axes.set_xlim(low / 1.2, high * 3)
         floor = 100 * reference[f"{functional} uncertainty"] / abs(reference[functional])
         axes.axhspan(0, max(floor, 1e-4), color=GREY, alpha=0.2, lw=0)
         axes.set_title(f"dR/df of the {title}: {reference[functional]:.3f}", loc="left", fontsize=11)
