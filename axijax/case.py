@@ -77,9 +77,6 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
     ),
 }  # fmt: skip
 
-# Speed of the platens in a new random case: an inertial number of 9e-4 for its 400 balls.
-RANDOM_SPEED = 0.025
-
 # Fields that a file may leave to the specimen.
 LEFT_OUT = {"confining_friction": "left out: none, but for a random specimen that of its compaction"}
 
@@ -287,7 +284,6 @@ def default_case(kind: str = "octagon") -> Case:
     sections: dict[str, Any] = {"specimen": {"kind": kind}}
     if kind == "random":  # to the balance that a random packing can reach, past its peak
         sections["test"] = {"tolerance": 1e-3, "confine_steps": 100_000, "axial_strain": 0.05}
-        sections["parameters"] = {"platen_speed": RANDOM_SPEED}
     elif 4 not in KINDS[kind][1]:
         sections["sector"] = {"order": max(KINDS[kind][1])}
     return Case(**sections)
