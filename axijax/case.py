@@ -252,7 +252,8 @@ def _packed(specimen: str, sector: str, material: tuple[tuple[str, float], ...])
     smallest, largest, path = (options.pop(name) for name in ("smallest_radius", "largest_radius", "grading"))
     if path is None and smallest > largest:
         raise ValueError(
-            f"specimen.smallest_radius = {smallest:g}, largest_radius = {largest:g}: smallest must not be above largest."
+            f"specimen.smallest_radius = {smallest:g}, largest_radius = {largest:g}: the smallest must "
+            "not be above the largest."
         )
     grading = linear(smallest, largest) if path is None else sieve_curve(path)
     ours = Sector(**SectorCase.model_validate_json(sector).model_dump())
@@ -260,7 +261,9 @@ def _packed(specimen: str, sector: str, material: tuple[tuple[str, float], ...])
         return random_cylinder(sector=ours, grading=grading, params=Params(**dict(material)), **options)
     except RuntimeError as error:
         told = str(error).split(": raise")[0]
-        raise RuntimeError(f"{told}: take another specimen.seed, more balls, or a higher compaction_friction.") from None
+        raise RuntimeError(
+            f"{told}: take another specimen.seed, more balls, or a higher compaction_friction."
+        ) from None
 
 
 # The sections of a case: class and heading.
@@ -279,8 +282,8 @@ def default_case(kind: str = "octagon") -> Case:
     Raises ValueError for an unknown kind.
     """
     if kind not in KINDS:
-        hint = _nearest(kind, KINDS) or f"must be one of {', '.join(KINDS)}."
-        raise ValueError(f"kind = '{kind}': {hint}")
+        near = _nearest(kind, KINDS)
+        raise ValueError(f"kind = '{kind}': must be one of {', '.join(KINDS)}{f'; {near}' if near else '.'}")
     sections: dict[str, Any] = {"specimen": {"kind": kind}}
     if kind == "random":  # to the balance that a random packing can reach, past its peak
         sections["test"] = {"tolerance": 1e-3, "confine_steps": 100_000, "axial_strain": 0.05}

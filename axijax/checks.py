@@ -113,9 +113,11 @@ def _curve_checks(result: Result) -> list[Check]:
 
 
 def _radius_limit(test: TriaxialTest | None, radius: float) -> float:
-    """How far platen and virial stress ratio may be apart: Rm is a mean over a zone about a ball wide, and the membrane's
-    work goes with the square of the distance, so that the gap of a sound run goes with (r/Rm)^2: 1.0 of it in the
-    paper's quarter, 1.9 in an octagon of half its width."""
+    """How far platen and virial stress ratio may be apart.
+
+    Rm is a mean over a zone about a ball wide, and the membrane's work goes with the square of the distance, so that
+    the gap of a sound run goes with (r/Rm)^2: 1.0 of it in the paper's quarter, 1.9 in an octagon of half its width.
+    """
     return 0.05 if test is None else max(0.05, 3 * float((test.cut.radius.mean() / radius) ** 2))
 
 

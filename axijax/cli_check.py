@@ -29,7 +29,11 @@ def check(
 
         checks = result_checks(open_result(what), energy=True)
         if as_json:
-            print(json.dumps({"sound": all(c.passed is not False for c in checks), "checks": [c._asdict() for c in checks]}))
+            print(
+                json.dumps(
+                    {"sound": all(c.passed is not False for c in checks), "checks": [c._asdict() for c in checks]}
+                )
+            )
         else:
             _print_checks(checks)
         if not all(c.passed is not False for c in checks):

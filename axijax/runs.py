@@ -32,7 +32,7 @@ import numpy as np
 
 from axijax.case import Case, load_case, to_toml
 from axijax.checkpoint import load_progress
-from axijax.curve import SimulationError
+from axijax.curve import Curve, SimulationError
 from axijax.results import curves_dataset, save_dataset, save_run, writable_folder, write_whole
 from axijax.specimen_file import NAME, load_specimen, save_specimen
 from axijax.triaxial import Progress, Run, TriaxialTest
@@ -66,8 +66,8 @@ def run_case(
     """Run a case into a folder, which is made where there is none.
 
     name: of the run, for titles. overwrite: replace what another run left there. snapshots: how many to write for
-    ParaView, evenly over the shear, one every 1000 steps at most. command: the command line, to be kept. packed: called with what a random
-    specimen has become.
+    ParaView, evenly over the shear, one every 1000 steps at most. command: the command line, to be kept.
+    packed: called with what a random specimen has become.
 
     Raises ValueError where the case makes no sense, the folder cannot be written or holds a result; SimulationError
     for a run that went wrong, whose curve so far is kept; Interrupted (Ctrl-C, SIGTERM) with the way to go on.
@@ -178,6 +178,7 @@ def _run(folder: Path, case: Case, test: TriaxialTest, start: Progress | None, i
         try:
             tell(test, None)
             run = test.run(start=start, progress=advance, checkpoint=folder / "checkpoint.npz")
+            _refuse_an_empty_curve(run.curve, test)
             save_run(folder, info["name"], case.model_dump_json(), run.curve)
         except KeyboardInterrupt:
             confined = (folder / "checkpoint.npz").exists()
@@ -193,6 +194,16 @@ def _run(folder: Path, case: Case, test: TriaxialTest, start: Progress | None, i
             raise
         note("finished")
     return run
+
+
+def _refuse_an_empty_curve(curve: Curve, test: TriaxialTest) -> None:
+    """Raise SimulationError where the platens were so fast that there is next to no curve."""
+    if curve.axial_strain.size < 3:
+        raise SimulationError(
+            f"the test went wrong: the platens passed axial_strain = {test.axial_strain:g} before the third "
+            "record: lower parameters.platen_speed or test.record_every.",
+            curve,
+        )
 
 
 def packing_values(report: "PackingReport") -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """A generated specimen on disk: written whole or not at all, and read back to the last bit.
 
-A result keeps the random specimen that was tested: to generate it again is slow, and another machine may do it otherwise
-in the last bit.
+A result keeps the random specimen that was tested: to generate it again is slow, and another machine may differ in the
+last bit.
 """
 
 import json
@@ -39,8 +39,19 @@ def load_specimen(path: Path, case: Case) -> Specimen:
         made_from = plain.pop("made_from")
         specimen = Specimen(**plain)
     except FileNotFoundError:
-        raise ValueError(f"result '{path.parent}' has lost its {path.name}, the balls that were tested: {remedy}.") from None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile, NotImplementedError):
+        raise ValueError(
+            f"result '{path.parent}' has lost its {path.name}, the balls that were tested: {remedy}."
+        ) from None
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        EOFError,
+        zipfile.BadZipFile,
+        NotImplementedError,
+    ):
         raise ValueError(f"result '{path.parent}': its {path.name} is damaged or no specimen: {remedy}.") from None
     if made_from != _made_from(case):
         raise ValueError(
