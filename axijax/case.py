@@ -285,8 +285,8 @@ def default_case(kind: str = "octagon") -> Case:
         near = _nearest(kind, KINDS)
         raise ValueError(f"kind = '{kind}': must be one of {', '.join(KINDS)}{f'; {near}' if near else '.'}")
     sections: dict[str, Any] = {"specimen": {"kind": kind}}
-    if kind == "random":  # the friction of a soil, the balance that such a packing can reach, and a half, as the tip of a
-        # quarter leaves so few balls no room
+    if kind == "random":
+        # So few balls find no room in the tip of a quarter; a soil's friction; a balance that such a packing can reach.
         sections["sector"], sections["parameters"] = {"order": 2}, {"friction": 0.4}
         sections["test"] = {"tolerance": 1e-3, "confine_steps": 100_000, "axial_strain": 0.05}
     elif 4 not in KINDS[kind][1]:
