@@ -340,7 +340,7 @@ def test_checks_find_what_is_wrong(result):
     curve = result.curve.copy(deep=True)
     curve["chatter"][int(curve.stress_ratio.values.argmax())] = 0.1
     curve["unbalanced_force"][:] = 0.5
-    curve["virial_ratio"] *= 1.3  # as if Rm were 14 % off
+    curve["virial_ratio"] *= 0.7  # as if Rm were 16 % too small
     spoilt = replace(result, curve=curve)
     state = result.progress.state
     lifted = state.displacement + Vector(0.0, 0.0, 0.005)
