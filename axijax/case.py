@@ -24,6 +24,7 @@ import textwrap
 import tomllib
 import types
 from dataclasses import fields
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -68,10 +69,16 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
     "hcp": (("radius", "layers", "specimen_radius"), (1, 3)),
     "sc": (("radius", "layers", "specimen_radius"), (1, 2, 4)),
     "random": (
-        ("balls", "smallest_radius", "largest_radius", "aspect_ratio", "compaction_friction", "seed"),
+        (
+            "balls", "smallest_radius", "largest_radius", "grading", "aspect_ratio", "compaction_friction",
+            "void_ratio", "seed",
+        ),
         (),  # made for the sector, whatever its order
     ),
-}
+}  # fmt: skip
+
+# Fields that a file may leave to the specimen.
+LEFT_OUT = {"confining_friction": "left out: none, but for a random specimen that of its compaction"}
 
 
 class _Section(BaseModel):
@@ -87,7 +94,11 @@ def _section(name: str, source: type) -> Any:
         kind = _plain(hints[each.name])
         if each.init and kind is not None and each.name not in NOT_IN_FILES:
             about: Any = {"description": told.get(each.name), **ALLOWED.get(each.name, {})}
-            made[each.name] = (kind, Field(each.default, **about))
+            default = each.default
+            if each.name in LEFT_OUT:
+                kind, default = kind | None, None
+                about["description"] += f"; {LEFT_OUT[each.name]}"
+            made[each.name] = (kind, Field(default, **about))
     return create_model(name, __base__=_Section, __doc__=inspect.getdoc(source), **made)
 
 
@@ -121,15 +132,25 @@ class SpecimenCase(_Section):
     half_width: int = Field(9, ge=3, description="half width of the octagon in ball radii, odd [-]")
     specimen_radius: float = Field(200.0, gt=0, description="radius of the cylinder that holds the balls [L]")
 
-    balls: int = Field(2000, ge=10, description="balls in the full cylinder, a multiple of the sector's order [-]")
+    balls: int = Field(400, ge=10, description="balls in the full cylinder, a multiple of the sector's order [-]")
     smallest_radius: float = Field(16.0, gt=0, description="smallest ball radius; radii are spread evenly [L]")
     largest_radius: float = Field(24.0, gt=0, description="largest ball radius [L]")
+    grading: str | None = Field(
+        None,
+        description="CSV file of a sieve curve in place of these two radii: under a header line, sieve opening (ball "
+        "diameter) [L] and per cent passing by mass, from 0 to 100",
+    )
     aspect_ratio: float = Field(2.0, gt=0, description="height over diameter, met to some 10 % [-]")
     compaction_friction: float = Field(
         0.05,
         ge=0,
         le=1,
-        description="friction while it is compacted: 0 dense, 0.5 loose; see also confining_friction [-]",
+        description="friction while it is compacted: 0.05 dense, 0.5 loose [-]",
+    )
+    void_ratio: float | None = Field(
+        None,
+        gt=0,
+        description="void ratio sought in place of compaction_friction, to 0.005, in up to twelve compactions [-]",
     )
     seed: int = Field(0, ge=0, description="of the random numbers [-]")
 
@@ -144,19 +165,18 @@ class SpecimenCase(_Section):
     def _taken(self, dump) -> dict[str, Any]:
         return {name: value for name, value in dump(self).items() if name in ("kind", *KINDS[self.kind][0])}
 
-    def build(self, sector: Sector, params: Params) -> Specimen:
+    def build(self) -> Specimen:
+        """A lattice's specimen."""
         options = {name: getattr(self, name) for name in KINDS[self.kind][0]}
-        if self.kind == "random":
-            from axijax.random_packing import linear, random_cylinder
-
-            grading = linear(options.pop("smallest_radius"), options.pop("largest_radius"))
-            return random_cylinder(sector=sector, grading=grading, params=params, **options)[0]
         if self.kind == "octagon":
             return fcc_octagon(**options)
         if self.kind == "fcc":
             return fcc_cylinder(**options)
         return lattice_cylinder(self.kind, **options)
 
+
+if TYPE_CHECKING:
+    from axijax.random_packing import PackingReport
 
 if TYPE_CHECKING:  # mypy cannot see the fields of classes made while running
 
@@ -186,19 +206,64 @@ class Case(_Section):
     parameters: ParametersCase = ParametersCase()
     test: TestSection = TestSection()
 
-    def build(self) -> TriaxialTest:
-        sector, params = Sector(**self.sector.model_dump()), Params(**self.parameters.model_dump())
+    def build(self, specimen: Specimen | None = None) -> TriaxialTest:
+        """The test. specimen: one that was made before, by `made`, and the case that `made` returned with it."""
+        if specimen is None:
+            case, specimen, _ = self.made()
+            return case.build(specimen)
+        options = self.test.model_dump()
+        options["confining_friction"] = options["confining_friction"] or 0.0
         return TriaxialTest(
-            self.specimen.build(sector, params),
-            sector,
+            specimen,
+            Sector(**self.sector.model_dump()),
             scene=Scene(**self.scene.model_dump()),
-            params=params,
-            **self.test.model_dump(),
+            params=Params(**self.parameters.model_dump()),
+            **options,
         )
+
+    def made(self) -> "tuple[Case, Specimen, PackingReport | None]":
+        """The case with what it leaves to its specimen filled in, the specimen, and what a random one has become.
+
+        Raises ValueError where the fields do not fit one another; RuntimeError where a random one does not settle.
+        """
+        if self.specimen.kind != "random":
+            return self, self.specimen.build(), None
+        material = self.parameters.model_dump(
+            include={"normal_stiffness", "shear_stiffness", "confining_stress", "density", "damping_ratio"}
+        )
+        specimen, report = _packed(
+            self.specimen.model_dump_json(), self.sector.model_dump_json(), tuple(material.items())
+        )
+        friction = self.test.confining_friction
+        case = self.with_test(confining_friction=report.compaction_friction if friction is None else friction)
+        return case, specimen, report
 
     def with_test(self, **changes) -> "Case":
         """The same case with other fields in its section [test]."""
         return self.model_copy(update={"test": self.test.model_copy(update=changes)})
+
+
+@lru_cache(maxsize=8)  # a sweep's members share a specimen
+def _packed(specimen: str, sector: str, material: tuple[tuple[str, float], ...]) -> "tuple[Specimen, PackingReport]":
+    """A random specimen, from sections in JSON."""
+    from axijax.random_packing import linear, random_cylinder, sieve_curve
+
+    options = SpecimenCase.model_validate_json(specimen).model_dump(exclude={"kind"})
+    smallest, largest, path = (options.pop(name) for name in ("smallest_radius", "largest_radius", "grading"))
+    if path is None and smallest > largest:
+        raise ValueError(
+            f"specimen.smallest_radius = {smallest:g}, largest_radius = {largest:g}: the smallest must "
+            "not be above the largest."
+        )
+    grading = linear(smallest, largest) if path is None else sieve_curve(path)
+    ours = Sector(**SectorCase.model_validate_json(sector).model_dump())
+    try:
+        return random_cylinder(sector=ours, grading=grading, params=Params(**dict(material)), **options)
+    except RuntimeError as error:
+        told = str(error).split(": raise")[0]
+        raise RuntimeError(
+            f"{told}: take another specimen.seed, more balls, or a higher compaction_friction."
+        ) from None
 
 
 # The sections of a case: class and heading.
@@ -217,11 +282,13 @@ def default_case(kind: str = "octagon") -> Case:
     Raises ValueError for an unknown kind.
     """
     if kind not in KINDS:
-        hint = _nearest(kind, KINDS) or f"must be one of {', '.join(KINDS)}."
-        raise ValueError(f"kind = '{kind}': {hint}")
+        near = _nearest(kind, KINDS)
+        raise ValueError(f"kind = '{kind}': must be one of {', '.join(KINDS)}{f'; {near}' if near else '.'}")
     sections: dict[str, Any] = {"specimen": {"kind": kind}}
-    if kind == "random":  # as loose as it was compacted, to the balance that a random packing can reach
-        sections["test"] = {"confining_friction": 0.05, "tolerance": 1e-3, "confine_steps": 100_000}
+    if kind == "random":
+        # So few balls find no room in the tip of a quarter; a soil's friction; a balance that such a packing can reach.
+        sections["sector"], sections["parameters"] = {"order": 2}, {"friction": 0.4}
+        sections["test"] = {"tolerance": 1e-3, "confine_steps": 100_000, "axial_strain": 0.05}
     elif 4 not in KINDS[kind][1]:
         sections["sector"] = {"order": max(KINDS[kind][1])}
     return Case(**sections)
@@ -303,6 +370,9 @@ def read_toml(path: Path | str) -> dict:
 
 def make_case(data: dict, source: str) -> Case:
     """A case from what a file called `source` holds. Raises ValueError like `load_case`."""
+    specimen = data.get("specimen")
+    if isinstance(specimen, dict) and isinstance(specimen.get("grading"), str):  # beside the case file
+        data = data | {"specimen": specimen | {"grading": str(Path(source).absolute().parent / specimen["grading"])}}
     try:
         return Case.model_validate(data)
     except ValidationError as error:

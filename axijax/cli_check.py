@@ -29,10 +29,14 @@ def check(
 
         checks = result_checks(open_result(what), energy=True)
         if as_json:
-            print(json.dumps({"sound": all(c.passed for c in checks), "checks": [c._asdict() for c in checks]}))
+            print(
+                json.dumps(
+                    {"sound": all(c.passed is not False for c in checks), "checks": [c._asdict() for c in checks]}
+                )
+            )
         else:
             _print_checks(checks)
-        if not all(c.passed for c in checks):
+        if not all(c.passed is not False for c in checks):
             raise typer.Exit(1)
     else:
         from axijax.case import load_case
@@ -77,9 +81,11 @@ def _duration(seconds: float) -> str:
 def _print_checks(checks: "list[Check]") -> None:
     for one in checks:
         value = one.value if isinstance(one.value, str) else f"{one.value:.2g}"
-        limit = one.limit if isinstance(one.limit, str) else f"at most {one.limit:g}"
-        print(f"{'ok  ' if one.passed else 'FAIL'}  {one.name}: {value}  ({limit})")
+        limit = one.limit if isinstance(one.limit, str) else f"at most {one.limit:.2g}"
+        mark = {True: "ok  ", False: "FAIL", None: "note"}[one.passed]
+        print(f"{mark}  {one.name}: {value}  ({limit})")
         if not one.passed:
             print(f"      {one.meaning}.")
-    bad = sum(not one.passed for one in checks)
-    print(f"{len(checks) - bad} of {len(checks)} checks passed")
+    counts = {mark: sum(one.passed is mark for one in checks) for mark in (True, False, None)}
+    told = f"{counts[True]} of {counts[True] + counts[False]} checks passed"
+    print(told + (f", {counts[None]} without a limit" if counts[None] else ""))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from axijax.random_packing import PackingReport
     from axijax.triaxial import Progress, Run, TriaxialTest
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON object a line on standard output, for programs.")]
@@ -61,7 +62,12 @@ def run(
     folder = Path("results") / case.stem if output is None else output
     with _live(folder, as_json) as live:
         command = ["axijax", *sys.argv[1:]]
-        done = run_case(loaded, folder, case.stem, live.tell, overwrite=overwrite, snapshots=snapshots, command=command)
+        if loaded.specimen.kind == "random":
+            live.show("packing", f"packing {loaded.specimen.balls} balls at random")
+        done = run_case(
+            loaded, folder, case.stem, live.tell,
+            overwrite=overwrite, snapshots=snapshots, command=command, packed=live.packed,
+        )  # fmt: skip
         live.finished(done)
 
 
@@ -123,6 +129,10 @@ class _Live:
         rate, left = self.speed(test)
         self.advance(test, now, rate, left)
 
+    def packed(self, report: "PackingReport") -> None:
+        """What a random specimen has become."""
+        self.show("packed", str(report))
+
     def speed(self, test: "TriaxialTest") -> tuple[float | None, float | None]:
         """Ball-steps a second and seconds left, from the last stretches; the first one, which compiles, left out."""
         marks = self.marks[1:][-20:]
@@ -176,7 +186,9 @@ class _LiveLine(_Live):
     def show(self, event: str, text: str) -> None:
         from rich.spinner import Spinner
 
-        if event == "preparing":
+        if event == "packing":
+            self.live.update(Spinner("dots", text))
+        elif event == "preparing":
             self.live.update(Spinner("dots", f"confining {text}"))
         else:
             self.live.console.print(text, highlight=False, soft_wrap=True)
@@ -205,6 +217,11 @@ class _JsonLines(_Live):
     def show(self, event: str, text: str) -> None:
         if event != "finished":
             self.say(event=event)
+
+    def packed(self, report: "PackingReport") -> None:
+        from axijax.runs import packing_values
+
+        self.say(event="packed", **packing_values(report))
 
     def advance(self, test: "TriaxialTest", now: "Progress", rate: float | None, left: float | None) -> None:
         self.say(

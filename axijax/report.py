@@ -35,6 +35,12 @@ CAPTIONS = {
     "its cell.",
 }
 
+VERDICTS = {
+    True: '<span class="passed">passed</span>',
+    False: '<span class="failed">NOT passed</span>',
+    None: '<span class="note">no limit</span>',
+}
+
 STYLE = """
 :root { color-scheme: light; }
 body { font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; color: #1b1f23;
@@ -167,8 +173,8 @@ def _checks(result: Result, energy: bool) -> str:
         [
             escape(check.name),
             escape(check.value) if isinstance(check.value, str) else f"{check.value + 0.0:.2g}",
-            check.limit if isinstance(check.limit, str) else f"≤ {check.limit:g}",
-            '<span class="passed">passed</span>' if check.passed else '<span class="failed">NOT passed</span>',
+            check.limit if isinstance(check.limit, str) else f"≤ {check.limit:.2g}",
+            VERDICTS[check.passed],
             f'<span class="note">{escape(check.meaning)}</span>',
         ]
         for check in result_checks(result, energy)

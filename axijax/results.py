@@ -179,8 +179,13 @@ class Result:
 
     @cached_property
     def test(self) -> TriaxialTest:
-        """The test, built again from the case. Raises ValueError as `case` does."""
-        return self.case.build()
+        """The test, built again from the case, with the random specimen that was tested. Raises ValueError as `case`
+        does, or where that specimen is lost.
+        """
+        from axijax.specimen_file import NAME, load_specimen
+
+        random = self.case.specimen.kind == "random"
+        return self.case.build(load_specimen(self.path / NAME, self.case) if random else None)
 
     @property
     def has_state(self) -> bool:

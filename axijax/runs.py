@@ -2,6 +2,7 @@
 
     case.toml         the case as it was run, every value filled in
     run.json          versions, machine, times, and the status: running, interrupted, failed or finished
+    specimen.npz      the balls of a random specimen, as they were generated
     checkpoint.npz    the last state and all records; kept, for pictures, checks and going on to a larger strain
     curve.nc .csv .png    once the run has finished
     partial_curve.nc      in their place where it went wrong
@@ -21,19 +22,26 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import fields
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from axijax.case import Case, load_case, to_toml
 from axijax.checkpoint import load_progress
-from axijax.curve import SimulationError
+from axijax.curve import Curve, SimulationError
 from axijax.results import curves_dataset, save_dataset, save_run, writable_folder, write_whole
+from axijax.specimen_file import NAME, load_specimen, save_specimen
 from axijax.triaxial import Progress, Run, TriaxialTest
 
+if TYPE_CHECKING:
+    from axijax.random_packing import PackingReport
+
 CURVES = ("curve.nc", "curve.csv", "curve.png")
-FILES = ("case.toml", "run.json", "checkpoint.npz", "partial_curve.nc", *CURVES)
+FILES = ("case.toml", "run.json", "checkpoint.npz", "partial_curve.nc", NAME, *CURVES)
 
 # Called with the test and with where it stands: None before confinement, then once before the first step of the shear
 # and about every 1000 steps of it.
@@ -53,11 +61,13 @@ def run_case(
     overwrite: bool = False,
     snapshots: int = 0,
     command: Sequence[str] = (),
+    packed: "Callable[[PackingReport], None]" = lambda report: None,
 ) -> Run:
     """Run a case into a folder, which is made where there is none.
 
     name: of the run, for titles. overwrite: replace what another run left there. snapshots: how many to write for
     ParaView, evenly over the shear, one every 1000 steps at most. command: the command line, to be kept.
+    packed: called with what a random specimen has become.
 
     Raises ValueError where the case makes no sense, the folder cannot be written or holds a result; SimulationError
     for a run that went wrong, whose curve so far is kept; Interrupted (Ctrl-C, SIGTERM) with the way to go on.
@@ -65,13 +75,20 @@ def run_case(
     folder = Path(folder)
     if not overwrite:
         _refuse_to_overwrite(folder)
-    test = case.build()
+    case, specimen, report = case.made()
+    test = case.build(specimen)
+    if report is not None:
+        packed(report)
     with _locked(writable_folder(folder)):
         if overwrite:
             _clear(folder, FILES)
             shutil.rmtree(folder / "snapshots", ignore_errors=True)
         info = {"name": name, "command": list(command), "started": _now(), "seconds": 0.0, "resumed": 0}
         info.update(axial_strain=0.0, snapshots=snapshots)
+        if report is not None:
+            info["packing"] = packing_values(report)
+            with _one_sentence_for_a_full_disk(folder, "then run the case again"):
+                save_specimen(folder / NAME, specimen, case)
         return _run(folder, case, test, None, info, tell)
 
 
@@ -83,9 +100,9 @@ def resume(folder: Path, tell: Tell = lambda test, now: None, axial_strain: floa
     folder = Path(folder)
     info = read_info(folder)
     case = load_case(folder / "case.toml")
-    strain = _strain_wanted(folder, info, case.build().axial_strain, axial_strain)
+    strain = _strain_wanted(folder, info, case.test.axial_strain, axial_strain)
     case = case.with_test(axial_strain=strain)
-    test = case.build()
+    test = case.build(load_specimen(folder / NAME, case) if case.specimen.kind == "random" else None)
     checkpoint = folder / "checkpoint.npz"
     start = load_progress(checkpoint, test) if checkpoint.exists() else None
     if start is None and info["status"] == "finished":
@@ -161,6 +178,7 @@ def _run(folder: Path, case: Case, test: TriaxialTest, start: Progress | None, i
         try:
             tell(test, None)
             run = test.run(start=start, progress=advance, checkpoint=folder / "checkpoint.npz")
+            _refuse_an_empty_curve(run.curve, test)
             save_run(folder, info["name"], case.model_dump_json(), run.curve)
         except KeyboardInterrupt:
             confined = (folder / "checkpoint.npz").exists()
@@ -176,6 +194,24 @@ def _run(folder: Path, case: Case, test: TriaxialTest, start: Progress | None, i
             raise
         note("finished")
     return run
+
+
+def _refuse_an_empty_curve(curve: Curve, test: TriaxialTest) -> None:
+    """Raise SimulationError where the platens were so fast that there is next to no curve."""
+    if curve.axial_strain.size < 3:
+        raise SimulationError(
+            f"the test went wrong: the platens passed axial_strain = {test.axial_strain:g} before the third "
+            "record: lower parameters.platen_speed or test.record_every.",
+            curve,
+        )
+
+
+def packing_values(report: "PackingReport") -> dict[str, Any]:
+    """A packing's report as JSON holds it; the radii are in specimen.npz."""
+    told = {each.name: getattr(report, each.name) for each in fields(report) if each.name not in ("radii", "sieves")}
+    columns = ("radius", "per cent passing wanted", "per cent passing reached")
+    sieves = dict(zip(columns, np.round(report.sieves, 4).T.tolist(), strict=True))
+    return {name: None if value == np.inf else value for name, value in told.items()} | {"sieves": sieves}
 
 
 def _snapshot_strains(number: int, axial_strain: float, start: float) -> list[float]:
@@ -271,13 +307,14 @@ def _signals_wait() -> Iterator[Callable[[], None]]:
 
 
 @contextmanager
-def _one_sentence_for_a_full_disk(folder: Path) -> Iterator[None]:
+def _one_sentence_for_a_full_disk(folder: Path, remedy: str = "") -> Iterator[None]:
     try:
         yield
     except OSError as error:
         raise OSError(
-            f"output folder '{folder}' cannot be written ({error.strerror or error}): make room there, then "
-            f"`axijax resume {folder}` goes on from the last checkpoint."
+            f"output folder '{folder}' cannot be written ({error.strerror or error}): make room there, "
+            + (remedy or f"then `axijax resume {folder}` goes on from the last checkpoint")
+            + "."
         ) from None
 
 

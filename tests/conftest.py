@@ -1,5 +1,24 @@
-"""Tests run with the fast kernels that the command line uses; they must be switched on before the first computation."""
+"""Tests run with the fast kernels that the command line uses; they must be switched on before the first computation.
+
+Compiled programs are kept for the session only, never in the user's folder; processes that tests start share them.
+"""
+
+import os
+import shutil
+import tempfile
 
 import axijax
 
 axijax.fast_cpu_kernels()
+
+
+def pytest_configure(config):
+    if hasattr(config, "workerinput"):  # pytest-xdist's workers inherit the folder
+        return
+    config.axijax_cache = tempfile.mkdtemp(prefix="axijax-cache-")
+    os.environ["AXIJAX_CACHE"] = config.axijax_cache
+
+
+def pytest_unconfigure(config):
+    if hasattr(config, "axijax_cache"):
+        shutil.rmtree(config.axijax_cache, ignore_errors=True)

@@ -43,6 +43,11 @@ def run(text, *options):
     return arguments
 
 
+def packed(text):
+    """Run a random case with this text in its specimen."""
+    return run(f"[specimen]\nkind = 'random'\n{text}\n")
+
+
 def small(*changes):
     """The small case with some lines changed."""
     text = SMALL
@@ -167,7 +172,42 @@ CASES = {
     ),
     "platens that cross the specimen in two seconds": (
         small(("platen_speed = 0.01", "platen_speed = 25.0")),
-        ["no longer finite", "lower time_step"],
+        ["before the third record", "lower parameters.platen_speed"],
+    ),
+    # Random specimens and Hertzian contacts.
+    "41 random balls in four sectors": (packed("balls = 41"), ["balls = 41", "multiple", "order 4"]),
+    "20 random balls in four sectors": (packed("balls = 20"), ["balls = 20", "at least 40"]),
+    "random radii the wrong way round": (
+        packed("smallest_radius = 30"),
+        ["specimen.smallest_radius = 30", "largest_radius = 24", "must not be above"],
+    ),
+    "layers of a random specimen": (packed("layers = 5"), ["layers", "'random'", "void_ratio"]),
+    "specimen.compaction_friction = 2": (packed("compaction_friction = 2"), ["compaction_friction = 2", "equal to 1"]),
+    "specimen.void_ratio = 0": (packed("void_ratio = 0"), ["void_ratio = 0", "greater than 0"]),
+    "void ratio of foam": (packed("balls = 40\nvoid_ratio = 9"), ["void_ratio = 9", "ask for one between"]),
+    "sieve curve that is not there": (packed("grading = 'sieves.csv'"), ["sieves.csv", "cannot be read"]),
+    "sieve curve that stops at 90 %": (
+        lambda folder, _: (
+            write(folder / "sieves.csv", "opening,passing\n30,0\n50,90\n"),
+            *packed("grading = 'sieves.csv'")(folder, _),
+        )[1:],
+        ["sieves.csv", "0 to 90 % passing"],
+    ),
+    "sieve curve with a word in it": (
+        lambda folder, _: (
+            write(folder / "sieves.csv", "opening,passing\n30,none\n50,100\n"),
+            *packed("grading = 'sieves.csv'")(folder, _),
+        )[1:],
+        ["sieves.csv", "line 2", "30,none", "two numbers"],
+    ),
+    "scene.contact_law = 'hertzian'": (run("[scene]\ncontact_law = 'hertzian'"), ["did you mean 'hertz'"]),
+    "parameters.shear_modulus = -1": (
+        run("[parameters]\nshear_modulus = -1"),
+        ["shear_modulus = -1", "greater than 0"],
+    ),
+    "Hertz, and a step past the critical one": (
+        run("[scene]\ncontact_law = 'hertz'\n[test]\ntime_step = 1.0"),
+        ["time_step = 1", "critical time step"],
     ),
     # Where a result is to go.
     "output that is a file": (

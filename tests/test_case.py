@@ -5,11 +5,13 @@ import re
 import tomllib
 from dataclasses import fields
 
+import numpy as np
 import pytest
 from cli_in_process import axijax
 
 from axijax import Params, Scene, Sector, TriaxialTest
 from axijax.case import KINDS, SECTIONS, Case, default_case, load_case, to_toml
+from axijax.random_packing import sieve_curve
 
 
 def write(tmp_path, text):
@@ -60,7 +62,7 @@ def test_a_new_case_holds_every_field_with_its_unit_default_and_range(kind, tmp_
             names = {"kind", *KINDS[kind][0]}
         told = {each for each in names if re.search(rf"^(# )?{each} =", part, re.M)}
         assert told == names
-        assert set(data[name]) == names - {"time_step"}
+        assert set(data[name]) == {each for each in names if model.model_fields[each].default is not None}
         for each in names:
             about = re.search(rf"((?:^#.*\n)+)(# )?{each} =", part, re.M)[1].replace("\n#  ", "")
             field = model.model_fields[each]
@@ -83,6 +85,19 @@ def test_a_case_survives_both_round_trips():
     assert Case.model_validate_json(case.model_dump_json()) == case
     assert Case.model_validate(tomllib.loads(to_toml(case))) == case
     assert "time_step = 0.03333" in to_toml(case)
+
+
+def test_a_sieve_curve_lies_beside_its_case(tmp_path):
+    """Its balls are those of `sieve_curve`, in a run from any folder, and a void ratio is met."""
+    (tmp_path / "sieves.csv").write_text("opening,passing\n30,0\n40,60\n50,100\n")
+    text = "[specimen]\nkind = 'random'\nballs = 60\ngrading = 'sieves.csv'\nvoid_ratio = 0.6\n[sector]\norder = 2\n"
+    case = load_case(write(tmp_path, text))
+    assert Case.model_validate(tomllib.loads(to_toml(case))) == case
+    filled, specimen, report = case.made()
+    expected = sieve_curve(tmp_path / "sieves.csv").sample(30)
+    np.testing.assert_allclose(np.sort(specimen.radius), np.sort(np.tile(expected, 2)), rtol=1e-12)
+    assert report.void_ratio == pytest.approx(0.6, abs=0.005)
+    assert filled.test.confining_friction == report.compaction_friction
 
 
 def test_a_case_is_a_test_in_python():

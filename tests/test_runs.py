@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -134,8 +135,8 @@ def test_overwriting_leaves_nothing_of_the_old(tmp_path, monkeypatch):
 
 
 def test_a_failed_run_keeps_its_curve_under_another_name(tmp_path):
-    """Platens that outrun the contact list between two looks at it."""
-    case = write(tmp_path / "fast.toml", SMALL.replace("0.01\n", "2.0\n").replace("0.012", "0.3"))
+    """Platens that are through before there is a curve."""
+    case = write(tmp_path / "fast.toml", SMALL.replace("0.01\n", "5.0\n").replace("0.012", "0.3"))
     called = axijax("run", case, "--output", tmp_path / "fast")
     assert called.code == 1 and "went wrong" in called.err
     assert status_of(tmp_path / "fast") == "failed"
@@ -199,3 +200,83 @@ def test_a_real_process_stops_and_goes_on(finished, tmp_path):
     assert process.returncode == 130, errors
     assert "axijax resume" in errors and "Traceback" not in errors
     assert status_of(tmp_path / "out") == "interrupted"
+
+
+RANDOM = """
+[specimen]
+kind = "random"
+balls = 48
+compaction_friction = 0.3
+[sector]
+order = 3
+[test]
+axial_strain = 0.004
+tolerance = 1e-3
+"""
+
+
+@pytest.fixture(scope="module")
+def random_run(tmp_path_factory):
+    """The folder of a random specimen's run, and what it printed."""
+    folder = tmp_path_factory.mktemp("runs")
+    called = axijax("run", write(folder / "random.toml", RANDOM), "--output", folder / "random")
+    assert called.code == 0, called.err
+    return folder / "random", called
+
+
+class TestRandomSpecimen:
+    def test_its_report_is_printed_and_kept(self, random_run):
+        folder, called = random_run
+        assert {path.name for path in folder.iterdir()} == FILES | {"specimen.npz"}
+        packing = json.loads((folder / "run.json").read_text())["packing"]
+        assert packing["balls"] == 48 and packing["order"] == 3 and packing["compaction_friction"] == 0.3
+        assert f"{packing['void_ratio']:.4f} in pi Rm^2 H" in called.out and "48 balls, 16 in a sector" in called.out
+        assert len(packing["sieves"]["radius"]) == 5
+
+    def test_it_is_confined_with_the_friction_of_its_compaction(self, random_run):
+        assert load_case(random_run[0] / "case.toml").test.confining_friction == 0.3
+        assert open_result(random_run[0]).test.confining_friction == 0.3
+        assert Case().build().confining_friction == 0
+
+    def test_it_is_kept_to_the_last_bit_and_not_made_again(self, random_run, monkeypatch):
+        folder, _ = random_run
+        _, specimen, _ = load_case(folder / "case.toml").made()
+        monkeypatch.setattr("axijax.random_packing.random_cylinder", None)
+        monkeypatch.setattr("axijax.case._packed", None)
+        kept = open_result(folder).test.specimen
+        for field in ("positions", "radius", "membrane_zone"):
+            np.testing.assert_array_equal(getattr(kept, field), getattr(specimen, field))
+        same = [(each.bottom, each.top, each.name, each.zone_rule) for each in (kept, specimen)]
+        assert same[0] == same[1] and kept.zone_rule == "exposure"
+
+    def test_it_goes_on_without_being_made_again(self, random_run, tmp_path, monkeypatch):
+        whole = tmp_path / "whole"
+        longer = write(tmp_path / "longer.toml", RANDOM.replace("0.004", "0.006"))
+        assert axijax("run", longer, "--output", whole).code == 0
+        folder = shutil.copytree(random_run[0], tmp_path / "out")
+        monkeypatch.setattr("axijax.case._packed", None)
+        assert axijax("resume", folder, "--axial-strain", "0.006").code == 0
+        assert_same_result(folder, whole)
+
+    @pytest.mark.parametrize(
+        ("damage", "words"),
+        [
+            (lambda path: path.unlink(), "has lost its specimen.npz"),
+            (lambda path: path.write_bytes(path.read_bytes()[:200]), "specimen.npz is damaged"),
+            (lambda path: path.write_bytes(b""), "specimen.npz is damaged"),
+            (lambda path: np.savez(path, positions=np.zeros((3, 4))), "specimen.npz is damaged"),
+        ],
+    )
+    def test_a_lost_or_damaged_one_is_one_sentence(self, random_run, tmp_path, damage, words):
+        folder = shutil.copytree(random_run[0], tmp_path / "out")
+        damage(folder / "specimen.npz")
+        for command in (("resume", "--axial-strain", "0.006"), ("check",), ("snapshot",), ("report",)):
+            called = axijax(*command, folder)
+            assert called.code == 1 and words in called.err and called.err.count("\n") == 1, (command, called.err)
+
+    def test_another_case_than_it_was_made_from(self, random_run, tmp_path):
+        folder = shutil.copytree(random_run[0], tmp_path / "out")
+        text = (folder / "case.toml").read_text()
+        (folder / "case.toml").write_text(text.replace("seed = 0", "seed = 1"))
+        called = axijax("check", folder)
+        assert called.code == 1 and "says another [specimen]" in called.err
