@@ -33,11 +33,13 @@ COLOURS = dict(zip(ORDERS, ("black", "C0", "C9", "C2", "C8", "C1", "C3"), strict
 DEFINITIONS = """\
 Axial strain 0 to 15 %, curves averaged over 1 % of strain, no cut. R = s1/s3, platen force over the area of radius Rm.
 peak ratio, strain at peak, dilatancy at peak (-d(volumetric strain)/d(axial strain) over +-1 % about it): of the MEAN
-curve over the seeds. early ratio: mean over 1 to 5 %. critical ratio: mean over 11 to 14.9 %. mean of the runs' peaks:
-each run's own maximum; noise lifts it, the more the fewer balls a sector has. scatter of a run at peak: standard
-deviation over the seeds at the strain of the mean curve's peak. Errors (+-): jackknife over the seeds; a strain at peak
-is a maximum's place, whose error the jackknife only indicates. void ratio, solid fractions: before shear; inner half is
-within Rm/2. coordination: ball-ball contacts only, so that rigid planes lower it. arc length: 2 pi Rm/n."""
+curve over the seeds. early ratio: mean over 1 to 5 %. critical ratio: mean over 11 to 15 %. mean of the runs' peaks:
+each run's own maximum; noise lifts it, the more the fewer balls a sector has. scatter: standard deviation over the
+seeds, of the early ratio or at the strain of the mean curve's peak. early ratio x (1 + void ratio): as if all sections
+were as solid; the hole that a narrow sector has along its axis carries no load. Errors (+-): jackknife over the seeds;
+a strain at peak is a maximum's place, whose error the jackknife only indicates. void ratio, solid fractions: before
+shear; inner half is within Rm/2. coordination: ball-ball contacts only, so that rigid planes lower it. arc length:
+2 pi Rm/n."""
 
 # (size, orders, orders between rigid planes, frictions, seeds), in the order of importance. A stage goes through the
 # orders, all seeds of each: those share what is compiled, which takes longer than the run of a small specimen.
@@ -168,9 +170,9 @@ def read(folder: Path):
 
 
 def curves_of(runs) -> dict[str, np.ndarray]:
-    """Curves of each run at STRAINS, means over WINDOW of axial strain; (S, G)."""
-    low = np.searchsorted(STRAINS, STRAINS - WINDOW / 2 - 1e-9)
-    high = np.searchsorted(STRAINS, STRAINS + WINDOW / 2 + 1e-9)
+    """Curves of each run at STRAINS, means over WINDOW of axial strain (shorter at either end); (S, G)."""
+    half = np.minimum(np.minimum(STRAINS, STRAINS[-1] - STRAINS), WINDOW / 2) + 1e-9  # symmetric up to the ends
+    low, high = np.searchsorted(STRAINS, STRAINS - half), np.searchsorted(STRAINS, STRAINS + half)
     curves = {}
     for field in CURVES:
         rows = [np.interp(STRAINS, run["curve"]["axial_strain"], run["curve"][field]) for run in runs]
@@ -193,7 +195,7 @@ def densities_of(run) -> dict[str, float]:
 
 def numbers_of(curves, scalars) -> dict[str, float]:
     """The numbers that the study compares, of a set of runs; DEFINITIONS says what each is."""
-    mean = {field: rows.mean(axis=0) for field, rows in curves.items()}
+    mean = {field: rows.mean(axis=0) for field, rows in (curves | scalars).items()}
     peak = int(mean["stress_ratio"].argmax())
     near = np.abs(STRAINS - STRAINS[peak]) < WINDOW
     early, late = ((a <= STRAINS) & (b >= STRAINS) for a, b in (EARLY, LATE))
@@ -202,6 +204,7 @@ def numbers_of(curves, scalars) -> dict[str, float]:
         "strain at peak [%]": 100 * STRAINS[peak],
         "dilatancy at peak": -np.polyfit(STRAINS[near], mean["volumetric_strain"][near], 1)[0],
         "early ratio": mean["stress_ratio"][early].mean(),
+        "early ratio x (1 + void ratio)": mean["stress_ratio"][early].mean() * (1 + mean["void ratio at start"]),
         "critical ratio": mean["stress_ratio"][late].mean(),
         "virial peak ratio": mean["virial_ratio"].max(),
         "core peak ratio": mean["core_ratio"].max(),
@@ -209,7 +212,7 @@ def numbers_of(curves, scalars) -> dict[str, float]:
         "volumetric strain at end [%]": 100 * mean["volumetric_strain"][late].mean(),
         "coordination at start": mean["coordination_number"][0],
         "coordination at end": mean["coordination_number"][late].mean(),
-    } | {field: values.mean() for field, values in scalars.items()}
+    } | {field: mean[field] for field in scalars}
 
 
 def with_errors(runs) -> dict[str, float]:
@@ -228,6 +231,7 @@ def with_errors(runs) -> dict[str, float]:
             others = np.array([numbers[field] for numbers in left_out])
             row[field + " +-"] = np.sqrt((len(runs) - 1) * others.var())
     at_peak = curves["stress_ratio"][:, int(np.searchsorted(STRAINS, row["strain at peak [%]"] / 100 - 1e-9))]
+    row["scatter of a run's early ratio"] = row["early ratio +-"] * np.sqrt(len(runs))
     row["scatter of a run at peak"] = at_peak.std(ddof=1) if len(runs) > 1 else np.nan
     radius = np.mean([run["report"]["membrane_radius"] for run in runs])
     row["arc length [diameters]"] = (
@@ -252,9 +256,11 @@ def draw(options) -> None:
     for row in rows:
         whole = full.get((row["size"], row["friction"]), {})
         if "peak ratio" in row and "peak ratio" in whole and row["order"] > 1:
-            for field in ("peak ratio", "early ratio", "critical ratio"):
-                row[field + " against n = 1"] = row[field] - whole[field]
-                row[field + " against n = 1 +-"] = np.hypot(row[field + " +-"], whole[field + " +-"])
+            for field in ("peak ratio", "early ratio", "critical ratio", "early ratio x (1 + void ratio)"):
+                values, errors = (np.array([row[field + end], whole[field + end]]) for end in ("", " +-"))
+                change = values[0] / values[1]
+                row[f"{field}, change from n = 1 [%]"] = 100 * (change - 1)
+                row[f"{field}, change from n = 1 [%] +-"] = 100 * change * np.hypot(*(errors / values))
     fields = list(dict.fromkeys(field for row in rows for field in row))
     with open(options.output / "boundary_sensitivity.csv", "w", newline="") as file:
         for line in DEFINITIONS.splitlines():
@@ -273,7 +279,8 @@ def draw(options) -> None:
 def print_table(rows) -> None:
     """Markdown."""
     shown = ("peak ratio", "strain at peak [%]", "dilatancy at peak", "early ratio", "critical ratio",
-             "mean of the runs' peaks", "scatter of a run at peak", "coordination at start", "void ratio at start",
+             "mean of the runs' peaks", "early ratio, change from n = 1 [%]", "scatter of a run's early ratio",
+             "early ratio x (1 + void ratio), change from n = 1 [%]", "coordination at end", "void ratio at start",
              "solid fraction, inner half", "solid fraction, outer half", "arc length [diameters]")  # fmt: skip
 
     def cell(row, field) -> str:
@@ -333,10 +340,10 @@ def draw_numbers(runs, rows, path: Path) -> None:
             groups[row["size"], row["friction"]].append(row)
     by_order = {
         axes[0, 1]: "peak ratio",
-        axes[0, 2]: "dilatancy at peak",
+        axes[0, 2]: "early ratio",
         axes[0, 3]: "critical ratio",
-        axes[1, 1]: "void ratio at start",
-        axes[1, 2]: "solid fraction, outer half",
+        axes[1, 1]: "solid fraction, outer half",
+        axes[1, 2]: "dilatancy at peak",
     }
     for colour, (size, friction) in enumerate(sorted(groups, key=lambda key: (abs(key[1] - 0.3), key))):
         for boundary, marker, line in (("periodic", "o", "-"), ("rigid", "s", ":")):
@@ -351,15 +358,29 @@ def draw_numbers(runs, rows, path: Path) -> None:
             for place, field in by_order.items():
                 x = [row["order"] * 1.02 ** (colour - 1) for row in some]
                 place.errorbar(x, [row[field] for row in some], [row[field + " +-"] for row in some], **style)
-            some = [row for row in some if "peak ratio against n = 1" in row]
-            shift, error = ([row["peak ratio against n = 1" + ending] for row in some] for ending in ("", " +-"))
-            axes[1, 3].errorbar([row["arc length [diameters]"] for row in some], shift, error, **style)
+            inner = [row["solid fraction, inner half"] for row in some]
+            axes[1, 1].plot(x, inner, "v" + line, color=f"C{colour}", markersize=4, linewidth=0.6)
+            shift = "early ratio, change from n = 1 [%]"
+            some = [row for row in some if shift in row]
+            x, y, error = ([row[key] for row in some] for key in ("arc length [diameters]", shift, shift + " +-"))
+            axes[1, 3].errorbar(x, y, error, **style | {"fmt": marker})
     for place, field in by_order.items():
         place.set(title=field, xscale="log", xlabel="sectors n in the full cylinder")
         place.set_xticks(ORDERS, [str(order) for order in ORDERS])
         place.minorticks_off()
+    axes[0, 2].set_title("mean ratio over 1 to 5 %")
+    axes[0, 3].set_title("critical ratio, mean over 11 to 15 %")
+    axes[1, 1].set_title("solid fraction before shear\nouter half, and (triangles) within Rm/2")
     axes[1, 3].axhline(0, color="0.5", linewidth=0.8)
-    axes[1, 3].set(title="peak ratio minus that of n = 1", xlabel="arc length of the sector at Rm [mean diameters]")
+    axes[1, 3].set(xscale="log", xlabel="arc length of the sector at Rm [mean diameters]")
+    axes[1, 3].set_title("mean ratio over 1 to 5 %: change from\nn = 1 [%]; band: scatter of full cylinders")
+    axes[1, 3].set_xticks([2, 3, 5, 10, 15], ["2", "3", "5", "10", "15"])
+    axes[1, 3].minorticks_off()
+    for (size, friction), some in groups.items():
+        for row in some:
+            if row["order"] == 1 and (size, friction) == fullest(runs):
+                scatter = 100 * row["scatter of a run's early ratio"] / row["early ratio"]
+                axes[1, 3].axhspan(-scatter, scatter, color="0.9", zorder=0)
 
     size, friction = fullest(runs)
     for boundary, line in (("periodic", "-"), ("rigid", ":")):
@@ -400,9 +421,9 @@ def draw_profiles(runs, path: Path) -> None:
                         at, values = mean_profile(some, f"end {place}", field)
                         axis.plot(at, values, line, color=COLOURS[order], linewidth=1.2, label=label)
             wall = "axis" if place == "axis" else "nearest sector plane"
-            axis.set(title=title, xlabel=f"distance from the {wall} [mean diameters]")
+            axis.set(title=title, xlabel=f"from the {wall} [mean diameters]")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=8, fontsize=8)
-    figure.suptitle(f"{size} balls, f = {friction:g}, at the end of shear: mean over seeds")
+    figure.suptitle(f"Inside: {size} balls, f = {friction:g}, at the end of shear: mean over seeds")
     figure.savefig(path, dpi=110)
 
 
