@@ -422,7 +422,7 @@ def draw_profiles(runs, path: Path) -> None:
                         axis.plot(at, values, line, color=COLOURS[order], linewidth=1.2, label=label)
             wall = "axis" if place == "axis" else "nearest sector plane"
             axis.set(title=title, xlabel=f"from the {wall} [mean diameters]")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=8, fontsize=8)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=8)
     figure.suptitle(f"Inside: {size} balls, f = {friction:g}, at the end of shear: mean over seeds")
     figure.savefig(path, dpi=110)
 
