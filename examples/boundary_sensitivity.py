@@ -339,9 +339,9 @@ def draw_numbers(runs, rows, path: Path) -> None:
         if "peak ratio" in row:
             groups[row["size"], row["friction"]].append(row)
     by_order = {
-        axes[0, 1]: "peak ratio",
-        axes[0, 2]: "early ratio",
-        axes[0, 3]: "critical ratio",
+        axes[0, 1]: "peak ratio, change from n = 1 [%]",
+        axes[0, 2]: "early ratio, change from n = 1 [%]",
+        axes[0, 3]: "critical ratio, change from n = 1 [%]",
         axes[1, 1]: "solid fraction, outer half",
         axes[1, 2]: "dilatancy at peak",
     }
@@ -355,32 +355,32 @@ def draw_numbers(runs, rows, path: Path) -> None:
             )  # fmt: skip
             if not some:
                 continue
-            for place, field in by_order.items():
-                x = [row["order"] * 1.02 ** (colour - 1) for row in some]
-                place.errorbar(x, [row[field] for row in some], [row[field + " +-"] for row in some], **style)
             inner = [row["solid fraction, inner half"] for row in some]
-            axes[1, 1].plot(x, inner, "v" + line, color=f"C{colour}", markersize=4, linewidth=0.6)
-            shift = "early ratio, change from n = 1 [%]"
-            some = [row for row in some if shift in row]
-            x, y, error = ([row[key] for row in some] for key in ("arc length [diameters]", shift, shift + " +-"))
-            axes[1, 3].errorbar(x, y, error, **style | {"fmt": marker})
+            axes[1, 1].plot(
+                [r["order"] for r in some], inner, "v" + line, color=f"C{colour}", markersize=4, linewidth=0.6
+            )
+            for place, field in (by_order | {axes[1, 3]: by_order[axes[0, 2]]}).items():
+                shown = [row for row in some if field in row]
+                along = "arc length [diameters]" if place is axes[1, 3] else "order"
+                x = [row[along] * 1.02 ** (colour - 1) for row in shown]
+                place.errorbar(x, [row[field] for row in shown], [row[field + " +-"] for row in shown], **style)
     for place, field in by_order.items():
         place.set(title=field, xscale="log", xlabel="sectors n in the full cylinder")
         place.set_xticks(ORDERS, [str(order) for order in ORDERS])
         place.minorticks_off()
-    axes[0, 2].set_title("mean ratio over 1 to 5 %")
-    axes[0, 3].set_title("critical ratio, mean over 11 to 15 %")
+    axes[0, 2].set_title("mean ratio over 1 to 5 %, change from\nn = 1 [%]; band: scatter of full cylinders")
+    axes[0, 3].set_title("critical ratio, mean over 11 to 15 %,\nchange from n = 1 [%]")
     axes[1, 1].set_title("solid fraction before shear\nouter half, and (triangles) within Rm/2")
-    axes[1, 3].axhline(0, color="0.5", linewidth=0.8)
-    axes[1, 3].set(xscale="log", xlabel="arc length of the sector at Rm [mean diameters]")
-    axes[1, 3].set_title("mean ratio over 1 to 5 %: change from\nn = 1 [%]; band: scatter of full cylinders")
+    axes[1, 3].set(title="mean ratio over 1 to 5 %, change from\nn = 1 [%], against arc length", xscale="log")
+    axes[1, 3].set_xlabel("arc length of the sector at Rm [mean diameters]")
     axes[1, 3].set_xticks([2, 3, 5, 10, 15], ["2", "3", "5", "10", "15"])
     axes[1, 3].minorticks_off()
-    for (size, friction), some in groups.items():
-        for row in some:
-            if row["order"] == 1 and (size, friction) == fullest(runs):
-                scatter = 100 * row["scatter of a run's early ratio"] / row["early ratio"]
-                axes[1, 3].axhspan(-scatter, scatter, color="0.9", zorder=0)
+    whole = [row for row in groups[fullest(runs)] if row["order"] == 1]
+    for place in (*axes[0, 1:], axes[1, 3]):
+        place.axhline(0, color="0.5", linewidth=0.8)
+        for row in whole if place in (axes[0, 2], axes[1, 3]) else ():
+            scatter = 100 * row["scatter of a run's early ratio"] / row["early ratio"]
+            place.axhspan(-scatter, scatter, color="0.9", zorder=0)
 
     size, friction = fullest(runs)
     for boundary, line in (("periodic", "-"), ("rigid", ":")):
