@@ -338,6 +338,8 @@ def draw_numbers(runs, rows, path: Path) -> None:
     for row in rows:
         if "peak ratio" in row:
             groups[row["size"], row["friction"]].append(row)
+    if len(groups) > 1:  # one order alone compares with nothing
+        groups = {key: some for key, some in groups.items() if len(some) > 1 or key == fullest(runs)}
     by_order = {
         axes[0, 1]: "peak ratio, change from n = 1 [%]",
         axes[0, 2]: "early ratio, change from n = 1 [%]",
