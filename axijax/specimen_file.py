@@ -7,6 +7,7 @@ last bit.
 import json
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ ARRAYS = ("positions", "radius", "membrane_zone", "bottom", "top", "name", "zone
 
 def save_specimen(path: Path, specimen: Specimen, case: Case) -> None:
     """Write a specimen, with what the case says of it. Raises OSError where the folder cannot be written."""
-    arrays = {name: np.asarray(getattr(specimen, name)) for name in ARRAYS}
+    arrays: dict[str, Any] = {name: np.asarray(getattr(specimen, name)) for name in ARRAYS}
 
     def write(target: Path) -> None:
         with open(target, "wb") as file:
