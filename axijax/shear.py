@@ -123,7 +123,7 @@ def shear_until_worn(
     """As `shear`, but stops where a list is worn: a free ball may fly through half the skin within one stretch.
 
     Returns the number of blocks as well; what was observed fills so many places of arrays of protocol.blocks. The
-    status is that of these blocks together.
+    status is that of these blocks and of the last state together.
     """
     network, membrane = prepared.network, prepared.membrane
     block = _shear_block(scene, protocol, prepared, params, fixed)
@@ -142,7 +142,9 @@ def shear_until_worn(
 
     nothing = jnp.zeros((), jnp.int32)
     state, records, bits, number = jax.lax.while_loop(going, further, (state, records, nothing, nothing))
-    return state, records, bits, number
+    # The last state too, before its lists are made anew: a contact that was missed is not found again.
+    last = _trouble(network, membrane, state, current_load(membrane, network, state, fixed))
+    return state, records, bits | last, number
 
 
 def _shear_block(scene: Scene, protocol: Protocol, prepared: Prepared, params: Params, fixed: Load | None):

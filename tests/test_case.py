@@ -90,7 +90,8 @@ def test_a_case_survives_both_round_trips():
 def test_a_sieve_curve_lies_beside_its_case(tmp_path):
     """Its balls are those of `sieve_curve`, in a run from any folder."""
     (tmp_path / "sieves.csv").write_text("opening,passing\n30,0\n40,60\n50,100\n")
-    text = "[specimen]\nkind = 'random'\nballs = 60\ngrading = 'sieves.csv'\ncompaction_friction = 0.3\n[sector]\norder = 2\n"
+    text = "[specimen]\nkind = 'random'\nballs = 60\ngrading = 'sieves.csv'\ncompaction_friction = 0.3\n"
+    text += "[sector]\norder = 2\n"
     case = load_case(write(tmp_path, text))
     assert Case.model_validate(tomllib.loads(to_toml(case))) == case
     filled, specimen, report = case.made()

@@ -135,8 +135,8 @@ def test_overwriting_leaves_nothing_of_the_old(tmp_path, monkeypatch):
 
 
 def test_a_failed_run_keeps_its_curve_under_another_name(tmp_path):
-    """Platens that are through before there is a curve."""
-    case = write(tmp_path / "fast.toml", SMALL.replace("0.01\n", "5.0\n").replace("0.012", "0.3"))
+    """Platens that outrun the contact list between two looks at it."""
+    case = write(tmp_path / "fast.toml", SMALL.replace("0.01\n", "2.0\n").replace("0.012", "0.3"))
     called = axijax("run", case, "--output", tmp_path / "fast")
     assert called.code == 1 and "went wrong" in called.err
     assert status_of(tmp_path / "fast") == "failed"
