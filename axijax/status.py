@@ -7,13 +7,12 @@ REMEDIES = {
     NOT_FINITE: "a position is no longer finite: the run is unstable; lower time_step or check the parameters",
     NOT_CONFINED: "confinement did not reach the stated equilibrium; raise confine_steps or the tolerance",
     STALE_LIST: (
-        "a ball moved more than half the skin of the contact list before it was rebuilt, so a contact may have been "
-        "missed; stop at a smaller axial_strain (past its peak a specimen may collapse), and beyond 2 % use `run`, "
-        "which rebuilds the list, or a smaller rebuild_every for `simulate`, which keeps it if that is zero"
+        "a ball moved more than half the skin of the contact list before it was rebuilt, so a contact may be missing: "
+        "lower platen_speed or axial_strain, and past 2 % use `run` or rebuild_every"
     ),
     STALE_CELLS: (
-        "the membrane's balls have moved past one another since it was triangulated; stop at a smaller axial_strain, "
-        "and beyond 2 % use `run`, which triangulates again, or a smaller rebuild_every for `simulate`"
+        "the membrane's balls moved past one another: lower platen_speed or axial_strain, and past 2 % use `run` or "
+        "rebuild_every"
     ),
     FULL_LIST: (
         "a ball has more neighbours, or the membrane more balls, than a list that is made anew inside `simulate` has "
