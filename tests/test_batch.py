@@ -350,8 +350,14 @@ class TestCache:
         monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
         monkeypatch.delenv("AXIJAX_CACHE", raising=False)
         changed = {}
-        monkeypatch.setattr(jax.config, "update", changed.__setitem__)
-        folder = axijax.use_compilation_cache()
+        given = jax.config.values["jax_compilation_cache_dir"]
+        jax.config.update("jax_compilation_cache_dir", None)
+        try:
+            with monkeypatch.context() as patch:
+                patch.setattr(jax.config, "update", changed.__setitem__)
+                folder = axijax.use_compilation_cache()
+        finally:
+            jax.config.update("jax_compilation_cache_dir", given)
         assert folder is not None and folder.parent == tmp_path / "axijax" and folder.is_dir()
         assert changed["jax_compilation_cache_dir"] == str(folder)
 
