@@ -10,8 +10,10 @@ from axijax.case import Case
 from axijax.confinement import Confinement
 from axijax.curve import SimulationError, no_records
 from axijax.dynamics import confined_stiffness, initial_state
+from axijax.membrane import membrane_radius
 from axijax.time_step import SAFE_STEP, critical_time_step
 from axijax.triaxial import Progress, TriaxialTest
+from axijax.vector import from_rows
 
 # Steps that lattices need to be confined (1450 to 3200 of them, whatever their stiffness and stress).
 CONFINEMENT_STEPS = 3000
@@ -61,12 +63,11 @@ def forecast(case: Case, measure: bool = True) -> Forecast:
     rate = 2 * float(params.platen_speed) / test.cut.height
     steps = test.protocol.blocks * test.record_every
     compiling, per_step = _timed(test) if measure else (None, None)
-    rho = np.hypot(*test.cut.positions[:2])[test.cut.membrane_zone]
     found = Forecast(
         balls=len(test.cut),
         contacts=int(np.count_nonzero(np.asarray(test.network.share))),
         height=test.cut.height,
-        membrane_radius=float(rho.min() + rho.max()) / 2,
+        membrane_radius=float(membrane_radius(test.membrane, from_rows(test.cut.positions))),
         critical_time_step=critical_time_step(test.scene, params, test.network),
         time_step=float(test.time_step or 0),
         inertial_number=rate * 2 * radius * float(params.density / params.confining_stress) ** 0.5,
