@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
+from axijax.neighbors import directed_pairs
 from axijax.packing import Specimen
 from axijax.sector import Sector, plane_normals
 
@@ -29,14 +30,7 @@ class Pairs(NamedTuple):
 
 def pairs_within(positions: np.ndarray, radius: np.ndarray, sector: Sector, gap: float = 0.0) -> Pairs:
     """All pairs, images included, whose surfaces are less than `gap` apart [L]; positions (3, N), radius (N,)."""
-    balls = np.tile(np.arange(radius.size), sector.images)
-    turns = np.repeat(np.arange(sector.images), radius.size)
-    copies = sector.rotate(positions[:, balls], turns)
-    near = cKDTree(positions.T).sparse_distance_matrix(cKDTree(copies.T), 2 * radius.max() + gap, output_type="ndarray")
-    i, j, k = near["i"], balls[near["j"]], turns[near["j"]]
-    kept = ((i != j) | (k != 0)) & (near["v"] < radius[i] + radius[j] + gap)
-    order = np.lexsort((k[kept], j[kept], i[kept]))
-    i, j, k = i[kept][order], j[kept][order], k[kept][order]
+    i, j, k = directed_pairs(positions, radius, gap, sector, sector.on_axis(positions, radius))
     return measured(Pairs(i, j, k, np.zeros((3, i.size)), np.zeros(i.size)), positions, radius, sector)
 
 

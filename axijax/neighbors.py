@@ -114,7 +114,7 @@ def build_network(
     if not (np.isfinite(skin) and skin >= 0):
         raise ValueError(f"skin = {skin!r}: must be zero or positive [L].")
     on_axis = sector.on_axis(positions, radius)
-    i, j, k = _directed(positions, radius, skin, sector, on_axis)
+    i, j, k = directed_pairs(positions, radius, skin, sector, on_axis)
     ball, contact, side, turn, (i, j, k) = _pair_up(i, j, k, on_axis, sector)
     branch = positions[:, i] - sector.rotate(positions[:, j], k)
     distance = np.linalg.norm(branch, axis=0)
@@ -175,7 +175,7 @@ def build_network(
     )
 
 
-def _directed(positions, radius, skin, sector: Sector, on_axis):
+def directed_pairs(positions, radius, skin, sector: Sector, on_axis):
     """All (i, j, k) nearer than touching plus skin, sorted, each contact from both its sides."""
     balls = np.tile(np.arange(radius.size), sector.images)
     turns = np.repeat(np.arange(sector.images), radius.size)

@@ -127,7 +127,7 @@ def fcc_octagon(radius: float = 20.0, layers: int = 25, half_width: int = 9, dia
     1, 3, 5.. the even sites |x|, |y| <= half_width - 1, |x| + |y| <= diagonal - 2 (Itasca 2002; Cui &
     O'Sullivan 2005, figure 3). diagonal defaults to the even number just below sqrt(2) * half_width.
     """
-    _positive("radius", radius)
+    check_positive("radius", radius)
     _whole("layers", layers, 1)
     _whole("half_width", half_width, 3)
     if half_width % 2 == 0:
@@ -146,8 +146,8 @@ def fcc_octagon(radius: float = 20.0, layers: int = 25, half_width: int = 9, dia
 
 def fcc_cylinder(radius: float = 20.0, layers: int = 25, specimen_radius: float = 200.0) -> Specimen:
     """FCC prism of circular section with a vertical cube axis: every ball within specimen_radius [L]."""
-    _positive("radius", radius)
-    _positive("specimen_radius", specimen_radius)
+    check_positive("radius", radius)
+    check_positive("specimen_radius", specimen_radius)
     _whole("layers", layers, 1)
     limit = specimen_radius / radius - 1.0
     if limit < 2:
@@ -205,8 +205,8 @@ def lattice_cylinder(lattice: str, radius: float = 20.0, layers: int = 25, speci
     """
     if lattice not in _LAYERED:
         raise ValueError(f"lattice = {lattice!r}: must be one of {', '.join(_LAYERED)}; FCC has `fcc_cylinder`.")
-    _positive("radius", radius)
-    _positive("specimen_radius", specimen_radius)
+    check_positive("radius", radius)
+    check_positive("specimen_radius", specimen_radius)
     _whole("layers", layers, 1)
     steps, shift, spacing = _LAYERED[lattice]
     limit = specimen_radius / radius - 1.0
@@ -241,7 +241,7 @@ def lattice_cylinder(lattice: str, radius: float = 20.0, layers: int = 25, speci
     )
 
 
-def _positive(name: str, value: float) -> None:
+def check_positive(name: str, value: float) -> None:
     if not (np.isfinite(value) and value > 0):
         raise ValueError(f"{name} = {value!r}: must be positive and finite.")
 

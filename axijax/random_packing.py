@@ -17,7 +17,7 @@ from axijax.confinement import Limits, confining_scene, roomy_lists, settle
 from axijax.dynamics import Params, Scene, check_params, positions
 from axijax.fabric import contact_statistics, inside_balls, measured, pairs_within, sample_points
 from axijax.membrane import build_membrane, membrane_radius
-from axijax.packing import Specimen
+from axijax.packing import Specimen, check_positive
 from axijax.sector import Sector, plane_normals
 from axijax.time_step import DEFAULT_STEP
 from axijax.vector import from_rows
@@ -45,14 +45,14 @@ class Grading:
 
 def uniform(radius: float = 20.0) -> Grading:
     """All balls of one radius [L]."""
-    _check("radius", radius)
+    check_positive("radius", radius)
     return Grading((radius, radius), (0.0, 1.0), f"uniform, radius {radius:g}")
 
 
 def two_sizes(small: float, large: float, small_mass: float) -> Grading:
     """Two radii [L]; small_mass: share of the mass that the smaller balls have [-]."""
-    _check("small", small)
-    _check("large", large)
+    check_positive("small", small)
+    check_positive("large", large)
     if not small < large:
         raise ValueError(f"small = {small:g}, large = {large:g}: small must be below large.")
     if not 0 < small_mass < 1:
@@ -64,8 +64,8 @@ def two_sizes(small: float, large: float, small_mass: float) -> Grading:
 
 def linear(smallest: float, largest: float) -> Grading:
     """Radii spread evenly, by number, between two [L]."""
-    _check("smallest", smallest)
-    _check("largest", largest)
+    check_positive("smallest", smallest)
+    check_positive("largest", largest)
     if not smallest <= largest:
         raise ValueError(f"smallest = {smallest:g}, largest = {largest:g}: smallest must not be above largest.")
     return Grading((smallest, largest), (0.0, 1.0), f"linear, radii {smallest:g} to {largest:g}")
@@ -213,13 +213,13 @@ def random_cylinder(
         )
     if balls // sector.order < 10:
         raise ValueError(f"balls = {balls}: a sector of order {sector.order} needs at least {10 * sector.order}.")
-    _check("aspect_ratio", aspect_ratio)
-    _check("tolerance", tolerance)
-    _check("void_ratio_tolerance", void_ratio_tolerance)
+    check_positive("aspect_ratio", aspect_ratio)
+    check_positive("tolerance", tolerance)
+    check_positive("void_ratio_tolerance", void_ratio_tolerance)
     if not (np.isfinite(compaction_friction) and 0 <= compaction_friction <= 1):
         raise ValueError(f"compaction_friction = {compaction_friction!r}: must lie between 0 (dense) and 1 [-].")
     if void_ratio is not None:
-        _check("void_ratio", void_ratio)
+        check_positive("void_ratio", void_ratio)
     check_params(params, balls // sector.order)
 
     def compacted(friction: float) -> tuple[Specimen, PackingReport]:
@@ -239,7 +239,7 @@ def random_cylinder(
 
 def platen_speed(inertial_number: float, specimen: Specimen, params: Params) -> float:
     """Speed of each platen for an inertial number I = (2 v / H) 2 r sqrt(density / s3), r the mean radius [L/T]."""
-    _check("inertial_number", inertial_number)
+    check_positive("inertial_number", inertial_number)
     rate = inertial_number / (2 * specimen.radius.mean() * np.sqrt(params.density / params.confining_stress))
     return float(rate * specimen.height / 2)
 
@@ -409,8 +409,3 @@ def _whole_cylinder(cut: Specimen, sector: Sector) -> Specimen:
         membrane_zone=cut.membrane_zone[copies],
         name=f"random cylinder, {copies.size} balls",
     )
-
-
-def _check(name: str, value: float) -> None:
-    if not (np.isfinite(value) and value > 0):
-        raise ValueError(f"{name} = {value!r}: must be positive and finite.")

@@ -12,9 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from axijax.confinement import current_load
 from axijax.contact import contact_friction, geometry, resultants
 from axijax.dynamics import all_forces, positions
-from axijax.membrane import lateral_force, membrane_load, membrane_radius
+from axijax.membrane import lateral_force, membrane_radius
 from axijax.sector import Sector, plane_normals
 from axijax.triaxial import Progress, TriaxialTest
 from axijax.vector import zeros
@@ -217,9 +218,7 @@ def snapshot(
 def _mechanics(scene, params, network, membrane, fixed, dt, state):
     """Forces of a moment, by name."""
     place = positions(network, state)
-    load = fixed
-    if load is None:
-        load = membrane_load(membrane, place, *state.platens.astype(network.dtype))
+    load = current_load(membrane, network, state, fixed)
     forces = all_forces(scene, params, network, load, dt, state)
     branch = geometry(network, state.displacement)
     force = forces.contacts.force

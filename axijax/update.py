@@ -90,9 +90,7 @@ def update(
     known = (old[place] == new) & listed
 
     turn = jnp.maximum(image, 0)
-    cosine, sine = (
-        jnp.asarray(values, network.dtype) for values in network.sector.cos_sin(np.arange(_images(network)))
-    )
+    cosine, sine = _turns(network)
     cos, sin = cosine[turn], sine[turn]
     far = 1e3 * network.radius.max()
     fresh = positions.at(first) - positions.at(second).turned(cos, sin)
@@ -174,19 +172,15 @@ def _triangulated(sector: Sector, dtype, held) -> tuple[Membrane, np.ndarray]:
     return jax.tree.map(lambda new, was: np.asarray(new, was.dtype), made, old), np.asarray(0, np.int32)
 
 
-def _images(network: Network) -> int:
-    return network.sector.images
-
-
 def _turns(network: Network):
     """Cosines and sines of the turns to all images."""
-    return [jnp.asarray(values, network.dtype) for values in network.sector.cos_sin(np.arange(_images(network)))]
+    return [jnp.asarray(values, network.dtype) for values in network.sector.cos_sin(np.arange(network.sector.images))]
 
 
 def _copies(network: Network, positions: Vector):
     """Places of all images (P,) of the balls, in the order of the key ball * images + image; which of them are balls of
     their own. All images of a ball on the axis are the ball itself."""
-    images = _images(network)
+    images = network.sector.images
     cos, sin = _turns(network)
     x, y, z = (part[:, None] for part in positions)
     places = Vector(cos * x - sin * y, sin * x + cos * y, jnp.broadcast_to(z, (z.size, images))).map(jnp.ravel)
@@ -215,7 +209,7 @@ def _cell_counts(grid: Grid, network: Network, positions: Vector):
 def _neighbours(grid: Grid, network: Network, positions: Vector):
     """Keys (K, N) of the images near each ball, ascending, or `nothing` = N * images; and whether any did not fit."""
     places, real = _copies(network, positions)
-    images, nothing = _images(network), real.size
+    images, nothing = network.sector.images, real.size
     size = int(np.prod(grid.cells))
     x, y, z = _cells(grid, network, positions, places)
     number = jnp.where(real, (x * grid.cells[1] + y) * grid.cells[2] + z, size)
@@ -250,7 +244,7 @@ def _neighbours(grid: Grid, network: Network, positions: Vector):
 
 def _pair_up(network: Network, near):
     """The contacts (C,), and the tables (K, N) of contact, side and turn; see `axijax.neighbors._pair_up`."""
-    images, balls, width = _images(network), network.radius.size, near.shape[0]
+    images, balls, width = network.sector.images, network.radius.size, near.shape[0]
     listed = near < balls * images
     i = jnp.broadcast_to(jnp.arange(balls, dtype=near.dtype), near.shape)
     j, k = jnp.where(listed, near // images, 0), near % images
@@ -277,5 +271,5 @@ def _pair_up(network: Network, near):
 
 def _keys(network: Network, first, second, image):
     """One number for each contact (i, j, k), ascending in a list; padding comes last."""
-    key = (first.astype(jnp.int64) * network.radius.size + second) * _images(network) + image
+    key = (first.astype(jnp.int64) * network.radius.size + second) * network.sector.images + image
     return jnp.where(image >= 0, key, jnp.iinfo(jnp.int64).max)
