@@ -246,7 +246,8 @@ class Case(_Section):
 @lru_cache(maxsize=8)  # a sweep's members share a specimen
 def _packed(specimen: str, sector: str, material: tuple[tuple[str, float], ...]) -> "tuple[Specimen, PackingReport]":
     """A random specimen, from sections in JSON."""
-    from axijax.random_packing import linear, random_cylinder, sieve_curve
+    from axijax.grading import linear, sieve_curve
+    from axijax.random_packing import random_cylinder
 
     options = SpecimenCase.model_validate_json(specimen).model_dump(exclude={"kind"})
     smallest, largest, path = (options.pop(name) for name in ("smallest_radius", "largest_radius", "grading"))

@@ -13,15 +13,17 @@ import numpy as np
 
 from axijax.dynamics import Params, Scene, State, confined_stiffness, initial_state, make_step, mass_per_cube, positions
 from axijax.membrane import Load, Membrane, build_membrane, membrane_load
-from axijax.neighbors import Network, build_network, carry_springs
+from axijax.neighbors import Network, build_network, carry_springs, closing
 from axijax.observe import observe
 from axijax.packing import Specimen
 from axijax.sector import Sector
 from axijax.vector import zeros
 from axijax.zone import zone_found_again
 
-STALE = 1e-2  # largest share of the strip's area that may be counted to the wrong cell; rebuilt at a twentieth
+STALE = 1e-2  # largest share of the strip's area that may be counted to the wrong cell
+WORN, WORN_CELLS = 0.6, 0.05  # shares of the skin, and of STALE, at which the lists are made anew
 CONFINE_BLOCK = 50  # steps between looks at the balance, and between refreshes of the membrane, in confinement
+STRIDE = 10  # steps between looks at how far the balls have moved
 # A random packing has much softer modes than half a wave along the specimen; at a tenth of that wave's critical damping
 # it settles five to ten times sooner, equally dense.
 RANDOM_DAMPING = 0.1
@@ -84,10 +86,7 @@ def confine(
     network, membrane = lists
     platens = start[0].platens
     # In a lattice the slowest mode, half a wave along the specimen, is damped critically; the others settle within it.
-    random = membrane.zone_rule == "exposure"
-    share = RANDOM_DAMPING if random else 1.0
-    # Within 50 steps a ball of a loose packing may fly through half of what its list allows.
-    steps = CONFINE_BLOCK // 2 if random else CONFINE_BLOCK
+    share = RANDOM_DAMPING if membrane.zone_rule == "exposure" else 1.0
     rate = share * 2 * jnp.pi * wave_speed(scene, params, network) / (platens[1] - platens[0]).astype(network.dtype)
     params = replace(params, background_damping=rate)
     if scene.friction:
@@ -95,19 +94,27 @@ def confine(
     step = make_step(scene, _servo(network))
 
     def unsettled(carry):
-        state, balance = carry
+        state, balance, load = carry
         going = (balance.worst > limits.tolerance) & (balance.steps < limits.most_steps)
-        return going & (wear(network, membrane, state).max() <= 0.5) if until_worn else going
+        return going & (wear(network, state, load) <= 1) if until_worn else going
 
     def block(carry):
-        state, balance = carry
-        load = current_load(membrane, network, state, fixed)
-        state = repeat(lambda s: step(params, network, load, dt, s), steps, state)
+        state, balance, load = carry
+
+        def further(state):
+            return step(params, network, load, dt, state)
+
+        if until_worn:
+            state, taken = until_balls_moved(further, network, CONFINE_BLOCK, state)
+        else:
+            state, taken = repeat(further, CONFINE_BLOCK, state), CONFINE_BLOCK
         seen = observe(scene, params, network, membrane, load, dt, state)
         stress_error = jnp.abs(seen.stress_ratio - 1).astype(network.dtype)
-        return state, Confinement(seen.unbalanced_force, stress_error, balance.steps + steps)
+        balance = Confinement(seen.unbalanced_force, stress_error, balance.steps + taken)
+        return state, balance, current_load(membrane, network, state, fixed)
 
-    return jax.lax.while_loop(unsettled, block, start)
+    start = *start, current_load(membrane, network, start[0], fixed)
+    return jax.lax.while_loop(unsettled, block, start)[:2]
 
 
 def settle(
@@ -130,11 +137,10 @@ def settle(
     while True:
         lists = network, membrane
         state, balance = confine(scene, True, limits, lists, dt, fixed, params, (state, balance))
-        if 2 * float(farthest(state)) > float(network.skin):
+        if float(closing(network, state.displacement)) > float(network.skin):
             raise RuntimeError(
-                "confinement: a ball moved more than half the skin of the contact list within "
-                "a few steps, so a contact may be missing: take a denser start, another seed or a smaller "
-                "confining_stress."
+                f"confinement: two balls moved by more than the skin of the contact list within {STRIDE} steps, so a "
+                "contact may be missing: take a denser start, another seed or a smaller confining_stress."
             )
         if float(balance.worst) <= limits.tolerance or int(balance.steps) >= limits.most_steps:
             return network, membrane, state, balance
@@ -178,16 +184,25 @@ def current_load(membrane: Membrane, network: Network, state: State, fixed: Load
     return membrane_load(membrane, positions(network, state), bottom, top)
 
 
-@jax.jit
-def wear(network: Network, membrane: Membrane, state: State) -> jax.Array:
-    """How far the lists have aged, contact list and membrane, as a share of where they are rebuilt; (2,)."""
-    load = current_load(membrane, network, state)
-    return jnp.stack([4 * farthest(state) / network.skin, 20 * load.stale / STALE])
+def wear(network: Network, state: State, load: Load) -> jax.Array:
+    """How far the lists have aged, contact list or membrane, as a share of where they are made anew."""
+    return jnp.maximum(closing(network, state.displacement) / (WORN * network.skin), load.stale / (WORN_CELLS * STALE))
 
 
-def farthest(state: State) -> jax.Array:
-    """Longest displacement of a ball since the contact list was built [L]."""
-    return jnp.sqrt(state.displacement.dot(state.displacement).max())
+def until_balls_moved(step, network: Network, most: int, state: State) -> tuple[State, jax.Array]:
+    """A state after `most` steps, or fewer where the contact list is worn before; and how many it took, at least one
+    stride."""
+
+    def going(carry):
+        state, taken = carry
+        return (taken < most) & ((taken == 0) | (closing(network, state.displacement) <= WORN * network.skin))
+
+    def stride(carry):
+        state, taken = carry
+        steps = jnp.minimum(STRIDE, most - taken)
+        return jax.lax.fori_loop(0, steps, lambda _, s: step(s), state), taken + steps
+
+    return jax.lax.while_loop(going, stride, (state, jnp.zeros((), jnp.int32)))
 
 
 def rebuilt(cut: Specimen, network: Network, membrane: Membrane, state: State, largest_overlap: float = 0.5):

@@ -234,12 +234,15 @@ def neighbours_median(values, corners):
 
     corners: (3, T), the zone's balls at the triangles' corners.
     """
-    neighbours: list[set[int]] = [set() for _ in values]
-    for a, b, c in corners.T.tolist():
-        neighbours[a] |= {b, c}
-        neighbours[b] |= {c, a}
-        neighbours[c] |= {a, b}
-    return np.array([np.median(values[list(near - {i}) or [i]]) for i, near in enumerate(neighbours)])
+    ball, near = np.concatenate([corners[[0, 1, 2, 1, 2, 0]], corners[[1, 2, 0, 0, 1, 2]]], axis=1).reshape(2, -1)
+    ball, near = np.divmod(np.unique((ball * values.size + near)[ball != near]), values.size)
+    if not ball.size:
+        return values.copy()
+    ordered = values[near[np.lexsort((values[near], ball))]]
+    sizes = np.bincount(ball, minlength=values.size)
+    first = np.cumsum(sizes) - sizes
+    middle = np.clip([first + (sizes - 1) // 2, first + sizes // 2], 0, ordered.size - 1)
+    return np.where(sizes > 0, ordered[middle].mean(axis=0), values)
 
 
 def _within_surface(rho, radius, corners):

@@ -5,9 +5,9 @@ from j is (j, i, -k), so each pair is listed once: its force acts on i, and turn
 j. Every ball gathers its contacts through a table of slots; nothing is scattered, and sums have a fixed order.
 
 The list is built on the host by a k-d tree over all images (`axijax.update` makes it anew inside jit), and stays right
-while no ball has moved more than half the skin. Motion is stored as displacement from the positions at which the list
-was built, and each contact keeps its branch vector of that moment: so float32 loses nothing to large coordinates, and
-any image of a ball may represent it.
+while no two balls have come closer by more than the skin (`closing`). Motion is stored as displacement from the
+positions at which the list was built, and each contact keeps its branch vector of that moment: so float32 loses nothing
+to large coordinates, and any image of a ball may represent it.
 """
 
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from axijax.packing import Specimen
-from axijax.sector import Sector
+from axijax.sector import Sector, radial_distance
 from axijax.vector import Vector, from_rows
 
 
@@ -173,6 +173,24 @@ def build_network(
         skin=jnp.asarray(skin, dtype),
         sector=sector,
     )
+
+
+def closing(network: Network, displacement: Vector) -> jax.Array:
+    """The most by which two balls, images included, can have come closer since the list was built [L].
+
+    No contact is missing while this is below the skin. displacement: (N,) vectors since then [L].
+
+    It is the sum of the two largest displacements; so one ball that flies alone does not wear the list twice. A ball
+    near enough to the axis to touch its own image, however, meets one that moves as much as itself.
+    """
+    moved = displacement.dot(displacement)
+    farthest = moved.argmax()
+    sum_of_two = jnp.sqrt(moved[farthest]) + jnp.sqrt(moved.at[farthest].set(0.0).max())
+    if network.sector.images == 1:
+        return sum_of_two
+    rho = radial_distance(network.positions + displacement)
+    own_image = rho * np.sin(np.pi / network.sector.order) < network.radius
+    return jnp.maximum(sum_of_two, 2 * jnp.sqrt(jnp.where(own_image, moved, 0.0).max()))
 
 
 def directed_pairs(positions, radius, skin, sector: Sector, on_axis):

@@ -9,13 +9,13 @@ Everything is made on the host but the compaction, which is the triaxial test's 
 """
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from axijax.confinement import Limits, confining_scene, roomy_lists, settle
 from axijax.dynamics import Params, Scene, check_params, positions
 from axijax.fabric import contact_statistics, inside_balls, measured, pairs_within, sample_points
+from axijax.grading import Grading, linear
 from axijax.membrane import build_membrane, membrane_radius
 from axijax.packing import Specimen, check_positive
 from axijax.sector import Sector, plane_normals
@@ -25,98 +25,6 @@ from axijax.zone import outer_balls
 
 BEYOND = 1.5  # mean radii by which the balls reach beyond Rm, once compacted
 DENSEST, LOOSEST = 0.02, 0.5  # compaction frictions between which a void ratio is sought
-
-
-@dataclass(frozen=True)
-class Grading:
-    """A distribution of ball radii: cumulative share by number against radius, linear between knots.
-
-    radii: (K,) rising [L]. share: (K,) from 0 to 1 [-]. name: what it is, for reports.
-    """
-
-    radii: tuple[float, ...]
-    share: tuple[float, ...]
-    name: str
-
-    def sample(self, balls: int) -> np.ndarray:
-        """Radii at the middles of `balls` equal parts of the distribution, rising; (balls,) [L]."""
-        return np.interp((np.arange(balls) + 0.5) / balls, self.share, self.radii)
-
-
-def uniform(radius: float = 20.0) -> Grading:
-    """All balls of one radius [L]."""
-    check_positive("radius", radius)
-    return Grading((radius, radius), (0.0, 1.0), f"uniform, radius {radius:g}")
-
-
-def two_sizes(small: float, large: float, small_mass: float) -> Grading:
-    """Two radii [L]; small_mass: share of the mass that the smaller balls have [-]."""
-    check_positive("small", small)
-    check_positive("large", large)
-    if not small < large:
-        raise ValueError(f"small = {small:g}, large = {large:g}: small must be below large.")
-    if not 0 < small_mass < 1:
-        raise ValueError(f"small_mass = {small_mass!r}: must lie between 0 and 1.")
-    number = (small_mass / small**3) / (small_mass / small**3 + (1 - small_mass) / large**3)
-    name = f"two sizes, radii {small:g} and {large:g}, {100 * small_mass:g} % small by mass"
-    return Grading((small, small, large, large), (0.0, number, number, 1.0), name)
-
-
-def linear(smallest: float, largest: float) -> Grading:
-    """Radii spread evenly, by number, between two [L]."""
-    check_positive("smallest", smallest)
-    check_positive("largest", largest)
-    if not smallest <= largest:
-        raise ValueError(f"smallest = {smallest:g}, largest = {largest:g}: smallest must not be above largest.")
-    return Grading((smallest, largest), (0.0, 1.0), f"linear, radii {smallest:g} to {largest:g}")
-
-
-def sieve_curve(path: Path | str) -> Grading:
-    """Grading from a CSV file: two columns under a header line, sieve opening (ball diameter) [L] and per cent passing
-    by mass, which must begin at 0 and end at 100; the mass is spread evenly over log(diameter) between sieves.
-
-    Raises ValueError, naming the line, where the file cannot be read or makes no sense.
-    """
-    import csv
-
-    path = Path(path)
-    try:
-        with open(path, newline="", encoding="utf-8") as file:
-            rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"sieve curve '{path}' cannot be read ({error}).") from None
-    sieves = []
-    for line, row in enumerate(rows[1:], start=2):
-        try:
-            opening, passing = (float(cell) for cell in row)
-        except ValueError:
-            raise ValueError(
-                f"sieve curve '{path}', line {line} is {','.join(row)!r}: must be two numbers, sieve opening and per "
-                "cent passing by mass."
-            ) from None
-        if not (np.isfinite(opening) and opening > 0 and 0 <= passing <= 100):
-            raise ValueError(
-                f"sieve curve '{path}', line {line} is {','.join(row)!r}: the opening must be positive and the per "
-                "cent passing between 0 and 100."
-            )
-        sieves.append((opening, passing))
-    if len(sieves) < 2:
-        raise ValueError(f"sieve curve '{path}' has {len(sieves)} sieves below its header line: at least 2 are needed.")
-    opening, passing = np.array(sorted(sieves)).T
-    if (np.diff(opening) <= 0).any() or (np.diff(passing) < 0).any():
-        raise ValueError(f"sieve curve '{path}': per cent passing must rise with the opening, each opening given once.")
-    if passing[0] != 0 or passing[-1] != 100:
-        raise ValueError(
-            f"sieve curve '{path}' goes from {passing[0]:g} to {passing[-1]:g} % passing: add the sieve that nothing "
-            "passes and the one that everything passes."
-        )
-    # The number of balls per mass goes with d^-3, its mean over an interval of log d in closed form.
-    fine = np.unique(np.concatenate([opening, np.geomspace(opening[0], opening[-1], 400)]))
-    mass = np.diff(np.interp(np.log(fine), np.log(opening), passing))
-    number = mass * (fine[:-1] ** -3 - fine[1:] ** -3) / (3 * np.log(fine[1:] / fine[:-1]))
-    share = np.concatenate([[0.0], np.cumsum(number) / number.sum()])
-    share[-1] = 1.0
-    return Grading(tuple(fine / 2), tuple(share), f"sieve curve {path.name}")
 
 
 @dataclass(frozen=True)
@@ -198,7 +106,9 @@ def random_cylinder(
         little denser, but cannot bear the least difference between membrane and platens, and may never settle.
     void_ratio: sought instead, by adjusting the compaction friction, to within void_ratio_tolerance [-].
     seed: of the random numbers; the same seed gives the same specimen to the last bit.
-    params: stiffnesses, confining stress and density; None takes the defaults.
+    params: stiffnesses, confining stress and density; None takes the defaults. Compaction has linear springs whatever
+        the law of the test, whose own confinement settles a Hertzian specimen: with the stiffness of glass compaction
+        would take twenty times as many steps.
     tolerance: unbalanced force and stress error at which compaction ends [-]. most_steps: allowed for it.
 
     Raises ValueError for arguments that make no sense, or a void ratio that cannot be reached, with the range that can;
@@ -227,7 +137,8 @@ def random_cylinder(
         radius = rng.permutation(grading.sample(balls // sector.order))
         # Near to what compaction will reach, so that it hardly changes the shape.
         loose = _grown(radius, sector, aspect_ratio, 0.6 - 0.1 * friction / (friction + 0.15), rng)
-        cut, report = _compacted(loose, sector, float(friction), params, tolerance, most_steps)
+        limits = Limits(float(friction), tolerance, most_steps)
+        cut, report = _compacted(loose, sector, params, limits)
         return cut, replace(report, grading=grading.name, sieves=_sieves(grading, radius), seed=seed)
 
     if void_ratio is None:
@@ -331,20 +242,19 @@ def _grown(radius: np.ndarray, sector: Sector, aspect_ratio: float, solid_fracti
     return Specimen(place, radius, 0.0, height, zone, "random cylinder", "exposure")
 
 
-def _compacted(loose: Specimen, sector: Sector, friction: float, params: Params, tolerance: float, most_steps: int):
+def _compacted(loose: Specimen, sector: Sector, params: Params, limits: Limits):
     """A sector's balls in balance at the confining stress, and the report of it but for grading and seed."""
     network, membrane = roomy_lists(loose, sector)
     mass = float(params.density) * (4 / 3) * np.pi * loose.radius.min() ** 3
     # The limit of twelve contacts a ball, which no ball of the smallest size exceeds (PHYSICS 3.5).
     dt = float(DEFAULT_STEP * np.sqrt(mass / (10 * max(float(params.normal_stiffness), float(params.shear_stiffness)))))
-    limits = Limits(friction, tolerance, most_steps)
     scene = confining_scene(Scene(), limits)
     network, membrane, state, balance = settle(scene, loose, network, membrane, params, dt, limits)
-    if not float(balance.worst) <= tolerance:
+    if not float(balance.worst) <= limits.tolerance:
         raise RuntimeError(
             f"compaction of the random specimen stopped after {int(balance.steps)} steps at an unbalanced force of "
             f"{float(balance.unbalanced_force):.2g} and a stress error of {float(balance.stress_error):.2g}: raise "
-            f"most_steps or the tolerance {tolerance:g}."
+            f"most_steps or the tolerance {limits.tolerance:g}."
         )
     place = np.asarray(positions(network, state))
     bottom, top = (float(platen) for platen in state.platens)
@@ -369,7 +279,7 @@ def _compacted(loose: Specimen, sector: Sector, friction: float, params: Params,
         void_ratio=_void_ratio(cut, sector, rm, bottom, top),
         core_void_ratio=_void_ratio(cut, sector, rm / 2, middle - 0.3 * height, middle + 0.3 * height),
         **contacts._asdict(),
-        compaction_friction=friction,
+        compaction_friction=limits.friction,
         unbalanced_force=float(balance.unbalanced_force),
         stress_error=float(balance.stress_error),
         steps=int(balance.steps),

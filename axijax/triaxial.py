@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax.confinement import (
+    WORN,
     Confinement,
     Limits,
     confining_scene,
@@ -26,12 +27,11 @@ from axijax.confinement import (
     roomy_lists,
     settle,
     wave_speed,
-    wear,
 )
 from axijax.curve import Curve, make_curve, no_records, raise_for_status, warn_of_chatter
 from axijax.dynamics import Params, Scene, State, check_params, positions
 from axijax.membrane import Load, Membrane, build_membrane, membrane_radius
-from axijax.neighbors import Network, build_network
+from axijax.neighbors import Network, build_network, closing
 from axijax.observe import Observation
 from axijax.packing import Specimen, cut_to_sector
 from axijax.platform import warn_where_batched
@@ -214,26 +214,32 @@ class TriaxialTest:
         state = start_shear(self.scene, network, confined)
         fixed = fixed_load(self.protocol, self.prepared(network, membrane), state)
         height = float(state.platens[1] - state.platens[0])
-        return Progress(params, network, membrane, state, fixed, balance, height, no_records())
+        worn = bool(closing(network, state.displacement) > WORN * network.skin)
+        return Progress(params, network, membrane, state, fixed, balance, height, no_records(), worn=worn)
 
     def _go_on(self, now: "Progress") -> "Progress":
         """About 1000 steps further, or until a list is worn; lists that are worn are made anew first."""
         network, membrane, state = now.network, now.membrane, now.state
         swelling = now.swelling
-        if float(wear(network, membrane, state).max()) > 1:
+        if now.worn:
             radius_before = _radius_now(network, membrane, state)
             network, membrane, state = rebuilt(self.cut, network, membrane, state)
             if self.cut.zone_rule == "exposure":
                 swelling *= radius_before / _radius_now(network, membrane, state)
         stretch = replace(self.protocol, blocks=-(-SEGMENT // self.record_every))
         prepared = self.prepared(network, membrane)
-        state, seen, status, blocks = shear_until_worn(self.scene, stretch, prepared, now.params, state, now.fixed)
-        seen = jax.tree.map(lambda values: np.asarray(values)[: int(blocks)], seen)
+        state, seen, status, records, done, worn = shear_until_worn(
+            self.scene, stretch, prepared, now.params, state, now.fixed, now.done
+        )
+        seen = jax.tree.map(lambda values: np.asarray(values)[: int(records)], seen)
         seen = seen._replace(membrane_radius=seen.membrane_radius * swelling)
-        records = jax.tree.map(np.append, now.records, seen)
+        joined = jax.tree.map(np.append, now.records, seen)
         if int(status):
-            raise_for_status(status, make_curve(records, now.confinement))
-        return now._replace(network=network, membrane=membrane, state=state, records=records, swelling=swelling)
+            raise_for_status(status, make_curve(joined, now.confinement))
+        return now._replace(
+            network=network, membrane=membrane, state=state, records=joined, swelling=swelling,
+            done=int(done), worn=bool(worn),
+        )  # fmt: skip
 
     def prepared(self, network: Network, membrane: Membrane) -> Prepared:
         """What the pure functions of `axijax.shear` take, with these lists."""
@@ -249,6 +255,7 @@ class Progress(NamedTuple):
     records: what was observed so far, T values each.
     swelling: by which Rm is multiplied in the records of a zone found by exposure, so that balls that join or leave the
         zone are no change of volume; what is left is the work of the membrane over s3 [-].
+    done: steps taken since the last record. worn: the lists must be made anew before the next step.
     """
 
     params: Params
@@ -260,6 +267,8 @@ class Progress(NamedTuple):
     height: float
     records: Observation
     swelling: float = 1.0
+    done: int = 0
+    worn: bool = False
 
     @property
     def strain(self) -> float:

@@ -20,7 +20,7 @@ from scipy.spatial import QhullError
 from axijax.contact import geometry
 from axijax.dynamics import State
 from axijax.membrane import Membrane, membrane_arrays
-from axijax.neighbors import Network, build_network
+from axijax.neighbors import Network, build_network, closing
 from axijax.packing import Specimen
 from axijax.sector import Sector
 from axijax.status import FULL_LIST, NOT_FINITE, STALE_CELLS, STALE_LIST
@@ -75,7 +75,8 @@ def update(
 
     displacement: (N,) vectors from the old list's reference positions, zero for the new list [L]. springs: (C,) [L], or
     None. Returns list, springs and status bits: FULL_LIST where slots, contacts or cells did not suffice, STALE_LIST
-    where a ball has moved more than half the skin, so that the old list may have missed a contact, NOT_FINITE.
+    where two balls may have come closer by more than the skin, so that the old list may have missed a contact,
+    NOT_FINITE.
 
     A contact that was listed keeps its branch vector and overlap to the last bit, with its tangent; indices have none.
     """
@@ -110,7 +111,7 @@ def update(
         a, b = radii[0] ** 3, radii[1] ** 3
         pair_cube = jnp.where(listed, a * b / (a + b), 1.0)
     bits = jnp.where(full | too_many, FULL_LIST, 0)
-    bits |= jnp.where(2 * jnp.sqrt(displacement.dot(displacement).max()) > network.skin, STALE_LIST, 0)
+    bits |= jnp.where(closing(network, displacement) > network.skin, STALE_LIST, 0)
     bits |= jnp.where(jnp.isfinite(jnp.asarray(tuple(positions))).all(), 0, NOT_FINITE)
     if springs is not None:
         springs = springs.at(place).map(lambda part: jnp.where(known, part, 0.0))

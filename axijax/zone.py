@@ -68,38 +68,50 @@ def visible_share(positions: np.ndarray, radius: np.ndarray, sector: Sector) -> 
     ball, turn = np.tile(np.arange(count), sector.images), np.repeat(np.arange(sector.images), count)
     order = np.argsort(z[ball], kind="stable")
     ball, turn = ball[order], turn[order]
-    rho_j, theta_j, z_j, radius_j = rho[ball], theta[ball] + turn * sector.angle, z[ball], radius[ball]
     half_width = np.arcsin(np.minimum(radius / np.maximum(rho, 1e-300), 1))
-    half_width_j = half_width[ball]
     number = np.arange(POINTS)  # a sunflower's seeds lie evenly on a disc; the centre is the first
     away, around = np.sqrt(number / POINTS), number * np.pi * (3 - 5**0.5)
-    across, upward = away * np.cos(around), away * np.sin(around)
+    across, upward, depth = away * np.cos(around), away * np.sin(around), np.sqrt(1 - away**2)
+
+    def in_front(looked_at, reach, outermost):
+        """Pairs (i, place in the sorted images) of balls looked at and of those that may stand before them: within
+        reach of their height, coming farther out than `outermost`, and at an angle that overlaps theirs."""
+        low, high = (np.searchsorted(z[ball], z[looked_at] + sign * reach) for sign in (-1, 1))
+        sizes = high - low
+        i = np.repeat(looked_at, sizes)
+        near = np.arange(i.size) - np.repeat(np.cumsum(sizes) - sizes - low, sizes)
+        kept = (rho + radius)[ball][near] > np.repeat(outermost, sizes)
+        i, near = i[kept], near[kept]
+        j = ball[near]
+        aside = np.abs((theta[j] + turn[near] * sector.angle - theta[i] + np.pi) % (2 * np.pi) - np.pi)
+        kept = (aside < half_width[i] + half_width[j]) & (np.abs(z[j] - z[i]) < radius[i] + radius[j])
+        kept &= (j != i) | (turn[near] != 0)
+        return i[kept], near[kept]
+
+    def hidden(i, near, points):
+        """Whether ball i is hidden by one that may stand before it, at these points of its disc; (pairs, points)."""
+        j = ball[near]
+        angle = np.arcsin(np.clip(radius[i, None] * across[points] / rho[i, None], -1, 1))
+        own = rho[i, None] * np.cos(angle) + radius[i, None] * depth[points]
+        along = angle - (theta[j] + turn[near] * sector.angle - theta[i])[:, None]
+        height = z[i, None] + radius[i, None] * upward[points] - z[j, None]
+        inside = radius[j, None] ** 2 - (rho[j, None] * np.sin(along)) ** 2 - height**2
+        return (inside > 0) & (rho[j, None] * np.cos(along) + np.sqrt(np.maximum(inside, 0)) > own)
+
     share = np.zeros(count)
-    for i in np.flatnonzero(rho > radius / 2):
-        lateral = radius[i] * across
-        angle = np.arcsin(np.clip(lateral / rho[i], -1, 1))
-        height = z[i] + radius[i] * upward
-        own = rho[i] * np.cos(angle) + radius[i] * np.sqrt(1 - away**2)
-        reach = radius[i] + radius.max()
-        near = slice(*np.searchsorted(z_j, (z[i] - reach, z[i] + reach)))
-        aside = np.abs((theta_j[near] - theta[i] + np.pi) % (2 * np.pi) - np.pi)
-        front = (rho_j[near] + radius_j[near] > own.min()) & (aside < half_width[i] + half_width_j[near])
-        front &= (ball[near] != i) | (turn[near] != 0)
-        front &= np.abs(z_j[near] - z[i]) < radius[i] + radius_j[near]
-        j = near.start + np.flatnonzero(front)
-
-        others = rho_j[j], theta_j[j] - theta[i], z_j[j], radius_j[j]
-        # Most balls are inside, and the first line tells.
-        if (_met(angle[:1], height[:1], *others) <= own[0]).all():
-            share[i] = (_met(angle, height, *others) <= own[:, None]).all(axis=1).mean()
+    seen = rho > radius / 2
+    # Most balls are inside, and the line through the centre tells.
+    for some in np.array_split(np.flatnonzero(seen), 1 + count // 4000):
+        i, near = in_front(some, radius.max(), (rho + radius)[some])
+        seen[i[hidden(i, near, slice(1))[:, 0]]] = False
+    for some in np.array_split(np.flatnonzero(seen), 1 + count // 4000):
+        angle = np.arcsin(np.clip(radius[some, None] * across / rho[some, None], -1, 1))
+        lowest = (rho[some, None] * np.cos(angle) + radius[some, None] * depth).min(axis=1)
+        i, near = in_front(some, radius[some] + radius.max(), lowest)
+        covered = np.zeros((count, POINTS), bool)
+        np.logical_or.at(covered, i, hidden(i, near, slice(None)))
+        share[some] = 1 - covered[some].mean(axis=1)
     return share
-
-
-def _met(angle, height, rho, theta, z, radius):
-    """How far out the radial lines at angles and heights (P,) meet balls (B,), -inf where they do not; (P, B)."""
-    along = angle[:, None] - theta
-    inside = radius**2 - (rho * np.sin(along)) ** 2 - (height[:, None] - z) ** 2
-    return np.where(inside > 0, rho * np.cos(along) + np.sqrt(np.maximum(inside, 0)), -np.inf)
 
 
 def zone_found_again(specimen: Specimen, sector: Sector) -> np.ndarray:

@@ -41,51 +41,29 @@ a strain at peak is a maximum's place, whose error the jackknife only indicates.
 shear; inner half is within Rm/2. coordination: ball-ball contacts only, so that rigid planes lower it. arc length:
 2 pi Rm/n."""
 
-# (size, orders, orders between rigid planes, frictions, seeds), in the order of importance. A stage goes through the
-# orders, all seeds of each: those share what is compiled, which takes longer than the run of a small specimen.
-# Sizes are multiples of 24, so that every order divides them.
-STAGES = (
-    (504, ORDERS, (4, 12), (0.3,), 10),
-    (1008, ORDERS, (4, 12), (0.3,), 10),
-    (504, (1, 4, 8), (4,), (0.1, 0.5), 10),
-    (2016, (1, 4, 8, 12), (4, 12), (0.3,), 5),
-    (504, (), (3, 6, 8), (0.3,), 10),
-    (2016, ORDERS, (4, 12), (0.3,), 10),
-    (1008, (1, 4, 8, 12), (4,), (0.1, 0.5), 10),
-    (4032, (1, 4, 8, 12), (4, 12), (0.3,), 10),
-    (504, ORDERS, RIGID, (0.1, 0.2, 0.4, 0.5), 10),
-)
+SIZES = (504, 1008, 2016, 4032)  # multiples of 24, so that every order divides them
+FRICTIONS = (0.1, 0.2, 0.3, 0.4, 0.5)
 
 
-def cases(options):
-    """All runs asked for, most important first: (size, order, boundary, friction, seed)."""
-    stages = STAGES
-    if options.sizes or options.orders or options.frictions:
-        orders = tuple(options.orders or ORDERS)
-        rigid = tuple(order for order in orders if order in RIGID)
-        frictions = tuple(options.frictions or (0.3,))
-        stages = tuple((size, orders, rigid, frictions, options.seeds) for size in options.sizes or (504,))
-    for size, orders, rigid, frictions, seeds in stages:
-        boundaries = [(order, "periodic") for order in orders] + [(order, "rigid") for order in rigid]
-        for (order, boundary), seed in itertools.product(boundaries, range(min(seeds, options.seeds))):
-            yield from ((size, order, boundary, friction, seed) for friction in frictions)
+def packings(options):
+    """All specimens asked for: (size, order, boundary, seed). Each is sheared with every friction.
+
+    Small specimens first; all seeds of an order follow each other, as those share what is compiled.
+    """
+    for size in options.sizes:
+        boundaries = [(order, "periodic") for order in options.orders]
+        boundaries += [(order, "rigid") for order in options.orders if order in RIGID]
+        for (order, boundary), seed in itertools.product(boundaries, range(options.seeds)):
+            yield size, order, boundary, seed
 
 
-def name_of(size, order, boundary, friction, seed) -> str:
-    return f"{size}_{boundary}_{order}_f{friction:g}_s{seed}"
-
-
-def test_one(size, order, boundary, friction, seed, strain) -> dict:
-    """Make one specimen, shear it and return what the study keeps of it."""
+def sheared(specimen, report, sector, friction, strain) -> dict:
+    """Shear one specimen and return what the study keeps of it."""
     import axijax
     from axijax.fabric import contact_statistics, profiles
-    from axijax.random_packing import platen_speed, random_cylinder
+    from axijax.random_packing import platen_speed
     from axijax.results import RECORDS
 
-    clock, cpu = time.perf_counter(), time.process_time()
-    sector = axijax.Sector(order, boundary)
-    specimen, report = random_cylinder(size, sector, compaction_friction=COMPACTION_FRICTION, seed=seed)
-    made = time.process_time() - cpu
     params = axijax.Params(friction=friction)
     params = replace(params, platen_speed=platen_speed(INERTIAL_NUMBER, specimen, params))
     test = axijax.TriaxialTest(
@@ -117,41 +95,47 @@ def test_one(size, order, boundary, friction, seed, strain) -> dict:
         "mean_radius": float(specimen.radius.mean()),
         "curve": {field: [float(f"{value:.6g}") for value in row] for field, row in rows.items()},
         "profiles": shown,
-        "cpu_seconds": {"made": made, "all": time.process_time() - cpu},
-        "seconds": time.perf_counter() - clock,
     }  # fmt: skip
 
 
 def work(options) -> None:
-    """Run all that is missing and that no other process is at."""
+    """Make and shear all that is missing and that no other process is at."""
     import axijax
+    from axijax.random_packing import random_cylinder
 
     axijax.fast_cpu_kernels()
-    for case in cases(options):
-        path = options.output / (name_of(*case) + ".json")
-        if path.exists():
-            continue
-        lock = path.with_suffix(".lock")
+    for size, order, boundary, seed in packings(options):
+        packing = f"{size}_{boundary}_{order}_s{seed}"
+        lock = options.output / f"{packing}.lock"
+        paths = {friction: options.output / f"{packing}_f{friction:g}.json" for friction in options.frictions}
         with open(lock, "w") as held:
             try:
                 fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
                 continue  # another process is at it; its lock goes with it
-            if path.exists():
-                continue
+            missing = [friction for friction, path in paths.items() if not path.exists()]
             started = time.perf_counter()
-            try:
-                found = test_one(*case, options.strain)
-            except (ValueError, RuntimeError) as error:
-                found = {"failed": str(error)}
-            keys = ("size", "order", "boundary", "friction", "seed")
-            found["case"] = dict(zip(keys, case, strict=True)) | {"strain": options.strain}
-            part = path.with_suffix(f".{os.getpid()}.part")
-            part.write_text(json.dumps(found))
-            part.replace(path)
+            sector, specimen = axijax.Sector(order, boundary), None
+            for friction in missing:
+                try:
+                    if specimen is None:
+                        specimen, report = random_cylinder(
+                            size, sector, compaction_friction=COMPACTION_FRICTION, seed=seed
+                        )
+                    found = sheared(specimen, report, sector, friction, options.strain)
+                except (ValueError, RuntimeError) as error:
+                    found = {"failed": str(error)}
+                    print(f"{paths[friction].stem}: {error}", flush=True)
+                found["case"] = {
+                    "size": size, "order": order, "boundary": boundary, "friction": friction, "seed": seed,
+                    "strain": options.strain,
+                }  # fmt: skip
+                part = paths[friction].with_suffix(f".{os.getpid()}.part")
+                part.write_text(json.dumps(found))
+                part.replace(paths[friction])
             lock.unlink(missing_ok=True)
-            outcome = found.get("failed", f"{found.get('cpu_seconds')}")
-            print(f"{name_of(*case)}  {time.perf_counter() - started:.0f} s  {outcome}", flush=True)
+        if missing:
+            print(f"{packing}: {len(missing)} tests in {time.perf_counter() - started:.0f} s", flush=True)
 
 
 def read(folder: Path):
@@ -433,9 +417,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--output", type=Path, default=Path("boundary_sensitivity"))
     parser.add_argument("--workers", type=int, default=1, help="processes")
-    parser.add_argument("--sizes", type=int, nargs="+", help="balls in the full cylinder, multiples of 24")
-    parser.add_argument("--orders", type=int, nargs="+", help="sectors in the full cylinder")
-    parser.add_argument("--frictions", type=float, nargs="+")
+    parser.add_argument("--sizes", type=int, nargs="+", default=SIZES, help="balls in the full cylinder")
+    parser.add_argument("--orders", type=int, nargs="+", default=ORDERS, help="sectors in the full cylinder")
+    parser.add_argument("--frictions", type=float, nargs="+", default=FRICTIONS)
     parser.add_argument("--seeds", type=int, default=10, help="number of seeds")
     parser.add_argument("--strain", type=float, default=0.15, help="axial strain at the end")
     parser.add_argument("--draw", action="store_true", help="draw what is there, run nothing")

@@ -11,7 +11,7 @@ from cli_in_process import axijax
 
 from axijax import Params, Scene, Sector, TriaxialTest
 from axijax.case import KINDS, SECTIONS, Case, default_case, load_case, to_toml
-from axijax.random_packing import sieve_curve
+from axijax.grading import sieve_curve
 
 
 def write(tmp_path, text):

@@ -14,7 +14,7 @@ from axijax.packing import fcc_octagon
 from axijax.sector import Sector
 from axijax.triaxial import TriaxialTest
 
-STOP, END = 0.025, 0.05
+STOP, END = 0.05, 0.1
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from axijax.neighbors import build_network, carry_springs
+from axijax.neighbors import build_network, carry_springs, closing
 from axijax.packing import Specimen
 from axijax.sector import Sector
 from axijax.vector import from_rows
@@ -167,3 +167,42 @@ def test_a_padded_list_holds_the_same_contacts():
     assert listed(padded) == listed(tight)
     sums = [np.asarray(network.sum_on_balls(network.branch, reaction=-1)) for network in (tight, padded)]
     np.testing.assert_allclose(*sums, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 12])
+def test_no_contact_is_missed_while_the_balls_have_closed_by_less_than_the_skin(order):
+    """Balls that move at random: whenever two touch that the list does not hold, `closing` is above the skin. And it is
+    not simply always above: in some of the cases nothing is missed and `closing` says so."""
+    specimen, skin = random_balls(order, seed=1), 0.3
+    network = build_network(specimen, Sector(order), skin=skin, largest_overlap=ANY_OVERLAP)
+    on_axis = (np.hypot(*specimen.positions[:2]) == 0) & (order > 1)
+    held = set(from_both_sides(listed(network), on_axis, order))
+    rng, missed, sound = np.random.default_rng(order), 0, 0
+    for _ in range(400):
+        moves = rng.normal(size=specimen.positions.shape) * np.where(on_axis, [[0], [0], [1]], 1)
+        if rng.uniform() < 0.5:  # one ball alone, by up to twice the skin
+            moves[:, np.arange(len(specimen)) != rng.integers(len(specimen))] = 0
+        moves *= rng.uniform(0, 2 * skin) / np.linalg.norm(moves, axis=0).max()
+        moved = replace(specimen, positions=specimen.positions + moves, bottom=-9.0, top=9.0)
+        touching = {key for key in every_pair(moved, order, 0.0) if not on_axis[key[0]]}
+        worn = float(closing(network, from_rows(moves))) > skin
+        missed += not touching <= held
+        sound += not worn
+        assert touching <= held or worn
+    assert missed > 20 and sound > 100
+
+
+def test_what_two_balls_can_have_closed_by():
+    """The sum of the two farthest; twice its own displacement for a ball that can touch its own image."""
+    rho = np.array([1.2, 8.0, 8.0, 8.0])
+    theta = np.array([0.3, 0.2, 0.8, 1.4])
+    positions = np.stack([rho * np.cos(theta), rho * np.sin(theta), np.array([0.0, 0.0, 0.0, 0.0])])
+    specimen = Specimen(positions, np.full(4, 0.8), -1.0, 1.0, np.ones(4, bool))
+    moves = np.zeros((3, 4))
+    for order, own_image in ((1, 1), (4, 2)):
+        network = build_network(specimen, Sector(order), skin=0.5)
+        moves[:] = 0
+        moves[0, 0] = -0.1
+        assert float(closing(network, from_rows(moves))) == pytest.approx(0.1 * own_image, rel=1e-15)
+        moves[2, 1], moves[1, 3] = 0.4, -0.3
+        assert float(closing(network, from_rows(moves))) == pytest.approx(0.7, rel=1e-15)

@@ -9,10 +9,11 @@ import pytest
 
 from axijax.contact import geometry
 from axijax.dynamics import Params, Scene, all_forces, initial_state, positions
+from axijax.grading import linear, sieve_curve, two_sizes, uniform
 from axijax.membrane import build_membrane, lateral_force, membrane_load
 from axijax.neighbors import build_network
 from axijax.packing import cut_to_sector
-from axijax.random_packing import linear, platen_speed, random_cylinder, sieve_curve, two_sizes, uniform
+from axijax.random_packing import platen_speed, random_cylinder
 from axijax.sector import Sector
 from axijax.triaxial import TriaxialTest
 
@@ -94,6 +95,24 @@ def test_in_balance_platens_membrane_and_contacts_carry_the_same_stress():
     # Work of the membrane on a cylinder that swells is s3 dV: so the same mean stress from the cells' moments.
     volume = float(load.section) * float(state.platens[1] - state.platens[0])
     assert outer_xy / (2 * volume) == pytest.approx(params.confining_stress, rel=0.03)
+
+
+def test_a_random_specimen_of_hertzian_balls_knows_no_units():
+    """Stresses and density in other units, by a power of two: the same curve, but for the eigenvalue solver's last bits
+    in the time step, which is given."""
+    sector, specimen, report = made(4)
+    curves = []
+    for unit in (1.0, 8.0):
+        params = Params(
+            friction=0.3, shear_modulus=1e9 * unit, confining_stress=5e4 * unit, density=2000.0 * unit, platen_speed=0.3
+        )
+        test = TriaxialTest(
+            specimen, sector, Scene(contact_law="hertz"), params, axial_strain=0.02, time_step=0.02,
+            confining_friction=report.compaction_friction, tolerance=1e-3, confine_steps=100_000,
+        )  # fmt: skip
+        curves.append(test.run().curve)
+    assert curves[0].stress_ratio.max() > 1.5
+    np.testing.assert_allclose(curves[1].stress_ratio, curves[0].stress_ratio, rtol=1e-9)
 
 
 def test_any_image_may_represent_a_ball():

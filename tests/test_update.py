@@ -201,11 +201,30 @@ def shear():
 
 
 def test_a_test_with_lists_made_anew_inside_is_that_of_the_host(shear):
+    """Up to 3.5 % strain, where a ball comes out between those of the membrane: it carries load from the next time that
+    the membrane is made anew, and the host looks at other times."""
     run, _, (renewed, _) = shear
     assert int(renewed.status) == 0
     assert run.axial_strain[-1] > 0.049
-    np.testing.assert_allclose(renewed.stress_ratio[: run.stress_ratio.size], run.stress_ratio, rtol=1e-9)
-    np.testing.assert_allclose(renewed.membrane_radius[: run.stress_ratio.size], run.membrane_radius, rtol=1e-12)
+    valid = np.asarray(run.axial_strain) < 0.035
+    for name, accuracy in (("stress_ratio", 1e-9), ("membrane_radius", 1e-12)):
+        ours, theirs = (np.asarray(getattr(curve, name))[: valid.size] for curve in (renewed, run))
+        np.testing.assert_allclose(ours[valid], theirs[valid], rtol=accuracy)
+        np.testing.assert_allclose(ours, theirs, rtol=1e-3)
+
+
+def test_lists_are_made_anew_between_records():
+    """Records 1000 steps apart, between which the lists are worn, are among those 50 steps apart."""
+    often = TriaxialTest(
+        fcc_octagon(layers=7, half_width=3), Sector(4), params=Params(platen_speed=0.05), axial_strain=0.1,
+        tolerance=1e-4, refresh=False,
+    )  # fmt: skip
+    within = []
+    seldom = replace(often, record_every=1000).run(progress=lambda now: within.append(now.done)).curve
+    assert max(within) > 0, "a list must have been worn in the middle of a block"
+    found = often.run().curve.stress_ratio[::20]
+    assert seldom.stress_ratio.size > 4
+    np.testing.assert_allclose(seldom.stress_ratio, found[: seldom.stress_ratio.size], rtol=1e-9)
 
 
 def test_tangents_pass_through_lists_made_anew(shear):
