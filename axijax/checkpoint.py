@@ -27,7 +27,7 @@ from axijax.results import write_whole
 from axijax.triaxial import Progress, TriaxialTest
 
 FORMAT = "axijax shear in progress"
-VERSION = 1
+VERSION = 2
 
 
 def save_progress(path: Path, test: TriaxialTest, progress: Progress) -> None:

@@ -98,11 +98,12 @@ def _timed(test: TriaxialTest) -> tuple[float | None, float | None]:
     for _ in range(2):
         started = time.perf_counter()
         try:
-            steps = test._go_on(loose).records.height.size * test.record_every
+            further = test._go_on(loose)
         except SimulationError:
             return None, None
         seconds.append(time.perf_counter() - started)
-    return max(seconds[0] - seconds[1], 0.0), seconds[1] / steps
+    blocks = further.records.height.size - (further.done > 0)
+    return max(seconds[0] - seconds[1], 0.0), seconds[1] / (blocks * test.record_every + further.done)
 
 
 def _memory() -> int | None:
