@@ -11,6 +11,7 @@ from axijax.confinement import Confinement
 from axijax.curve import SimulationError, no_records
 from axijax.dynamics import confined_stiffness, initial_state
 from axijax.membrane import membrane_radius
+from axijax.theory import inertial_number
 from axijax.time_step import SAFE_STEP, critical_time_step
 from axijax.triaxial import Progress, TriaxialTest
 from axijax.vector import from_rows
@@ -70,7 +71,7 @@ def forecast(case: Case, measure: bool = True) -> Forecast:
         membrane_radius=float(membrane_radius(test.membrane, from_rows(test.cut.positions))),
         critical_time_step=critical_time_step(test.scene, params, test.network),
         time_step=float(test.time_step or 0),
-        inertial_number=rate * 2 * radius * float(params.density / params.confining_stress) ** 0.5,
+        inertial_number=float(inertial_number(rate, radius, params.density, params.confining_stress)),
         softness=float(params.confining_stress * radius / stiffness),
         ramp_strain=rate * test.ramp_time / 2,
         shear_steps=steps,

@@ -59,9 +59,7 @@ def observe(
     resultant = jnp.sqrt(forces.resultant.dot(forces.resultant) + 1e-300)
     sliding = jnp.zeros_like(number)
     if forces.contacts.moment_arm is not None:
-        limit = contact_friction(params, network) * normal_force
-        tangential = force - normal * normal_force
-        sliding = ((tangential.dot(tangential) >= ((1 - 1e-6) * limit) ** 2) * touching).sum() / some
+        sliding = (at_coulomb_limit(params, network, force, normal) * touching).sum() / some
     return Observation(
         stress_ratio=platen_force / load.section / params.confining_stress,
         virial_ratio=platen_force * height / jnp.maximum(-0.5 * lateral.dot(place).sum(), 1e-300),
@@ -73,6 +71,14 @@ def observe(
         sliding_fraction=sliding,
         chatter=chatter(scene, params, network, dt, state, forces, branch, normal),
     )
+
+
+def at_coulomb_limit(params: Params, network: Network, force: Vector, normal: Vector) -> jax.Array:
+    """Which contacts slide, by their forces and normals, (C,) vectors; the cap is a product of rounded numbers."""
+    normal_force = force.dot(normal)
+    tangential = force - normal * normal_force
+    limit = (1 - 1e-6) * contact_friction(params, network) * normal_force
+    return tangential.dot(tangential) >= limit**2
 
 
 def chatter(scene: Scene, params: Params, network: Network, dt, state: State, forces: Forces, branch: Geometry, normal):

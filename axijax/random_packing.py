@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from axijax import theory
 from axijax.confinement import Limits, confining_scene, roomy_lists, settle
 from axijax.dynamics import Params, Scene, check_params, positions
 from axijax.fabric import contact_statistics, inside_balls, measured, pairs_within, sample_points
@@ -149,10 +150,10 @@ def random_cylinder(
 
 
 def platen_speed(inertial_number: float, specimen: Specimen, params: Params) -> float:
-    """Speed of each platen for an inertial number I = (2 v / H) 2 r sqrt(density / s3), r the mean radius [L/T]."""
+    """Speed of each platen for an inertial number, see `theory.inertial_number`, with the mean radius [L/T]."""
     check_positive("inertial_number", inertial_number)
-    rate = inertial_number / (2 * specimen.radius.mean() * np.sqrt(params.density / params.confining_stress))
-    return float(rate * specimen.height / 2)
+    of_unit_rate = theory.inertial_number(1.0, specimen.radius.mean(), params.density, params.confining_stress)
+    return float(inertial_number / of_unit_rate * specimen.height / 2)
 
 
 def _sought(compacted, void_ratio: float, tolerance: float):

@@ -13,9 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax.confinement import current_load
-from axijax.contact import contact_friction, geometry, resultants
+from axijax.contact import geometry, resultants
 from axijax.dynamics import all_forces, positions
 from axijax.membrane import lateral_force, membrane_radius
+from axijax.observe import at_coulomb_limit
 from axijax.sector import Sector, plane_normals
 from axijax.triaxial import Progress, TriaxialTest
 from axijax.vector import zeros
@@ -223,12 +224,9 @@ def _mechanics(scene, params, network, membrane, fixed, dt, state):
     branch = geometry(network, state.displacement)
     force = forces.contacts.force
     normal = branch.apart * (1 / branch.apart.dot(branch.apart) ** 0.5)
-    along = force.dot(normal)
-    across = force - normal * along
-    sliding = along < 0
+    sliding = jnp.zeros_like(network.first, bool)
     if forces.contacts.spring is not None:
-        # As in `observe`: the cap is a product of rounded numbers.
-        sliding = across.dot(across) >= ((1 - 1e-6) * contact_friction(params, network) * along) ** 2
+        sliding = at_coulomb_limit(params, network, force, normal)
     lateral = lateral_force(params.confining_stress, load, place)
     planes = zeros(network.radius.shape, network.dtype)
     if network.sector.boundary == "rigid":  # what the resultant holds beside contacts, platens and membrane

@@ -40,7 +40,7 @@ _FASTEST_MODES = {
 # Arguments that must be greater than 0; the others may be 0.
 _POSITIVE = {"angular_frequency", "contact_elevation", "contacts_per_ball", "effective_mass", "mass"}
 _POSITIVE |= {"effective_modulus", "normal_stiffness", "radius", "reduced_radius", "stiffness", "stiffness_factor"}
-_POSITIVE |= {"tan_angle"}
+_POSITIVE |= {"confining_stress", "density", "tan_angle"}
 
 
 def _are_numbers(*values):
@@ -409,3 +409,11 @@ def lattice_critical_time_step(lattice, mass, normal_stiffness, tangential_stiff
         return _largest_stable_step(squared_frequency, damping_ratio * weighted_roots * jnp.sqrt(2 / mass))
 
     return jnp.minimum(step(*spin), step(*translation)) if rotation else step(*translation)
+
+
+def inertial_number(strain_rate, radius, density, confining_stress):
+    """Inertial number of a shear [-], rate 2 r sqrt(density / s3): quasi-static below about 1e-3 (GDR MiDi 2004).
+    strain_rate, axial [1/T]; density of the balls [M L^-3].
+    Raises ValueError unless radius, density and confining_stress are positive, or if strain_rate is negative."""
+    _check_signs(strain_rate=strain_rate, radius=radius, density=density, confining_stress=confining_stress)
+    return 2 * strain_rate * radius * jnp.sqrt(density / confining_stress)
