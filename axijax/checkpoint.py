@@ -75,7 +75,7 @@ def load_progress(path: Path, test: TriaxialTest) -> Progress:
     if header.get("version") != VERSION:
         raise ValueError(
             f"checkpoint '{path}' has format version {header.get('version')}, this program reads {VERSION}: start "
-            f"again without it, or use axijax {header.get('axijax')}."
+            "again without it."
         )
     ours, theirs = _description(test), header.get("test", {})
     other = [name for name in ours if ours[name] != theirs.get(name)]

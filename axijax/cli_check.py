@@ -61,7 +61,7 @@ def _print_forecast(found: "Forecast") -> None:
     if found.seconds is not None and found.ball_steps_per_second is not None:
         lines["time"] = (
             f"about {_duration(found.seconds)}, compiling included, at {found.ball_steps_per_second / 1e6:.2g} million "
-            "ball-steps/s  (measured now, over 1000 steps)"
+            "ball-steps/s  (measured now, over some 1000 steps)"
         )
     if found.memory is not None:
         lines["memory"] = f"{found.memory / 2**20:.0f} MiB  (this process, now)"

@@ -106,7 +106,7 @@ class _Live:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.started = time.perf_counter()
-        self.marks: list[tuple[float, float, int]] = []  # time, strain, records
+        self.marks: list[tuple[float, float, int]] = []  # time, strain, steps
 
     def __enter__(self) -> "_Live":
         return self
@@ -118,7 +118,7 @@ class _Live:
         """Take note of where a run stands, and show it."""
         if now is None:
             return self.show("preparing", f"{len(test.cut)} balls, {test.protocol.blocks * test.record_every} steps")
-        self.marks.append((time.perf_counter(), now.strain, now.records.height.size))
+        self.marks.append((time.perf_counter(), now.strain, now.steps(test.record_every)))
         if len(self.marks) == 1:
             balance, goal = now.confinement, f"shearing to {100 * test.axial_strain:g} %"
             if now.strain > 0:
@@ -138,8 +138,8 @@ class _Live:
         marks = self.marks[1:][-20:]
         if len(marks) < 2:
             return None, None
-        (start, strain, records), (end, reached, more) = marks[0], marks[-1]
-        rate = (more - records) * test.record_every * len(test.cut) / (end - start)
+        (start, strain, steps), (end, reached, more) = marks[0], marks[-1]
+        rate = (more - steps) * len(test.cut) / (end - start)
         left = max(test.axial_strain - reached, 0.0) * (end - start) / (reached - strain) if reached > strain else None
         return rate, left
 
@@ -230,7 +230,7 @@ class _JsonLines(_Live):
             axial_strain=now.strain,
             stress_ratio=now.stress_ratio,
             unbalanced_force=now.unbalanced_force,
-            steps=now.records.height.size * test.record_every,
+            steps=now.steps(test.record_every),
             ball_steps_per_second=rate and round(rate),
             seconds_left=left and round(left, 1),
         )

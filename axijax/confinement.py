@@ -96,7 +96,8 @@ def confine(
     def unsettled(carry):
         state, balance, load = carry
         going = (balance.worst > limits.tolerance) & (balance.steps < limits.most_steps)
-        return going & (wear(network, state, load) <= 1) if until_worn else going
+        fresh = balance.steps == before
+        return going & (fresh | (wear(network, state, load) <= 1)) if until_worn else going
 
     def block(carry):
         state, balance, load = carry
@@ -113,8 +114,9 @@ def confine(
         balance = Confinement(seen.unbalanced_force, stress_error, balance.steps + taken)
         return state, balance, current_load(membrane, network, state, fixed)
 
-    start = *start, current_load(membrane, network, start[0], fixed)
-    return jax.lax.while_loop(unsettled, block, start)[:2]
+    before = start[1].steps
+    load = current_load(membrane, network, start[0], fixed)
+    return jax.lax.while_loop(unsettled, block, (*start, load))[:2]
 
 
 def settle(
@@ -139,8 +141,8 @@ def settle(
         state, balance = confine(scene, True, limits, lists, dt, fixed, params, (state, balance))
         if float(closing(network, state.displacement)) > float(network.skin):
             raise RuntimeError(
-                f"confinement: two balls moved by more than the skin of the contact list within {STRIDE} steps, so a "
-                "contact may be missing: take a denser start, another seed or a smaller confining_stress."
+                "confinement: two balls together moved by more than the skin of the contact list within a few steps, "
+                "so a contact may be missing: take a denser start, another seed or a smaller confining_stress."
             )
         if float(balance.worst) <= limits.tolerance or int(balance.steps) >= limits.most_steps:
             return network, membrane, state, balance
@@ -187,6 +189,12 @@ def current_load(membrane: Membrane, network: Network, state: State, fixed: Load
 def wear(network: Network, state: State, load: Load) -> jax.Array:
     """How far the lists have aged, contact list or membrane, as a share of where they are made anew."""
     return jnp.maximum(closing(network, state.displacement) / (WORN * network.skin), load.stale / (WORN_CELLS * STALE))
+
+
+@jax.jit
+def are_worn(network: Network, membrane: Membrane, state: State, fixed: Load | None) -> jax.Array:
+    """Whether the lists have to be made anew."""
+    return wear(network, state, current_load(membrane, network, state, fixed)) > 1
 
 
 def until_balls_moved(step, network: Network, most: int, state: State) -> tuple[State, jax.Array]:

@@ -30,7 +30,7 @@ class Forecast(NamedTuple):
         under the confining stress [-].
     ramp_strain: axial strain at which the platens have reached their speed [-].
     shear_steps, records: to the axial strain. confinement_steps: assumed.
-    ball_steps_per_second: measured on this machine over 1000 steps of this case; None where it was not.
+    ball_steps_per_second: measured on this machine over some 1000 steps of this case; None where it was not.
     seconds: for the whole run, compiling included. memory: most that this process has used so far [bytes], or None.
     warnings: sentences.
     """
@@ -56,7 +56,7 @@ class Forecast(NamedTuple):
 def forecast(case: Case, measure: bool = True) -> Forecast:
     """What the case will take. Raises ValueError where it makes no sense.
 
-    measure: compile and run 1000 steps, to know how long the whole will take.
+    measure: compile and run some 1000 steps, to know how long the whole will take.
     """
     test = case.build()
     params, radius = test.params, float(test.cut.radius.mean())
@@ -99,12 +99,11 @@ def _timed(test: TriaxialTest) -> tuple[float | None, float | None]:
     for _ in range(2):
         started = time.perf_counter()
         try:
-            further = test._go_on(loose)
+            steps = test._go_on(loose).steps(test.record_every)
         except SimulationError:
             return None, None
         seconds.append(time.perf_counter() - started)
-    blocks = further.records.height.size - (further.done > 0)
-    return max(seconds[0] - seconds[1], 0.0), seconds[1] / (blocks * test.record_every + further.done)
+    return max(seconds[0] - seconds[1], 0.0), seconds[1] / steps
 
 
 def _memory() -> int | None:

@@ -181,7 +181,9 @@ def closing(network: Network, displacement: Vector) -> jax.Array:
     No contact is missing while this is below the skin. displacement: (N,) vectors since then [L].
 
     It is the sum of the two largest displacements; so one ball that flies alone does not wear the list twice. A ball
-    near enough to the axis to touch its own image, however, meets one that moves as much as itself.
+    that can touch its own image, however, meets one that comes inward as much as itself: from rho0 to rho the distance
+    2 rho sin(pi k/n) to image k falls by 2 (rho0 - rho) sin(pi k/n), and where they can touch sin(pi k/n) < radius/rho.
+    Nothing jumps in it, so that a ball that slowly comes near enough to touch its image wears the list on the way.
     """
     moved = displacement.dot(displacement)
     farthest = moved.argmax()
@@ -189,8 +191,8 @@ def closing(network: Network, displacement: Vector) -> jax.Array:
     if network.sector.images == 1:
         return sum_of_two
     rho = radial_distance(network.positions + displacement)
-    own_image = rho * np.sin(np.pi / network.sector.order) < network.radius
-    return jnp.maximum(sum_of_two, 2 * jnp.sqrt(jnp.where(own_image, moved, 0.0).max()))
+    inward = jnp.maximum(radial_distance(network.positions) - rho, 0.0)
+    return jnp.maximum(sum_of_two, (2 * inward * network.radius / jnp.maximum(rho, network.radius)).max())
 
 
 def directed_pairs(positions, radius, skin, sector: Sector, on_axis):

@@ -37,7 +37,7 @@ OUTSIDE = 2.0
 class Protocol:
     """The numbers of a test that are not physics; static.
 
-    blocks, block_steps: the shear runs blocks * block_steps steps and records after each block.
+    blocks, block_steps: the shear runs blocks * block_steps steps and records before each block.
     refresh: find the membrane's cells again with every record; otherwise they keep their first areas.
     limits: of confinement.
     rebuild_every, grid: make the lists anew each time after so many blocks, by this grid; zero keeps them.
@@ -82,7 +82,7 @@ def fixed_load(protocol: Protocol, prepared: Prepared, start: State) -> Load | N
     refreshed. None where the membrane's cells are followed."""
     given = prepared.lateral_load
     if given is None and not protocol.refresh:
-        return current_load(prepared.membrane, prepared.network, start)
+        return replace(current_load(prepared.membrane, prepared.network, start), stale=0.0)
     return given
 
 
@@ -126,9 +126,9 @@ def shear_until_worn(
 ):
     """As `shear`, but stops where a list is worn, in the middle of a block if need be.
 
-    done: steps of the present block that were taken before, so that its record is made already.
+    done: steps taken since the last record; other than zero in the middle of a block.
     Returns the state; what was observed, in arrays of protocol.blocks places; the status of these blocks and of the
-    last state together; how many records were made; the steps done of the next block; whether a list is worn.
+    last state together; how many records were made; the steps done since the last one; whether a list is worn.
     """
     network, membrane, dt = prepared.network, prepared.membrane, prepared.time_step
     step = make_step(scene, platen_ramp(prepared.ramp_time))

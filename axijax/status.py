@@ -7,7 +7,7 @@ REMEDIES = {
     NOT_FINITE: "a position is no longer finite: the run is unstable; lower time_step or check the parameters",
     NOT_CONFINED: "confinement did not reach the stated equilibrium; raise confine_steps or the tolerance",
     STALE_LIST: (
-        "two balls moved by more than the skin of the contact list before it was rebuilt, so a contact may be missing: "
+        "two balls together moved by more than the skin of the contact list, so a contact may be missing: "
         "lower platen_speed or axial_strain, and past 2 % use `run` or rebuild_every"
     ),
     STALE_CELLS: (

@@ -2,7 +2,8 @@
 
 1. Confine: no friction, membrane and both platens at s3, until the unbalanced force and the stress error are small.
 2. Shear: friction on, both platens move inward at the platen speed (reached by a smooth ramp: a sudden start sends
-   a wave of rho c v through the specimen), the membrane's cells are refreshed with every record.
+   a wave of rho c v through the specimen), the membrane's cells are refreshed with every record, and whenever the
+   lists are made anew.
 
 `TriaxialTest` prepares a test on the host; its `simulate` is a pure function Params -> Curve for jit, vmap and jvp;
 its `run` adds checks and a sentence for whatever went wrong.
@@ -19,19 +20,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax.confinement import (
-    WORN,
     Confinement,
     Limits,
+    are_worn,
     confining_scene,
     rebuilt,
     roomy_lists,
     settle,
     wave_speed,
 )
-from axijax.curve import Curve, make_curve, no_records, raise_for_status, warn_of_chatter
+from axijax.curve import Curve, SimulationError, make_curve, no_records, raise_for_status, warn_of_chatter
 from axijax.dynamics import Params, Scene, State, check_params, positions
 from axijax.membrane import Load, Membrane, build_membrane, membrane_radius
-from axijax.neighbors import Network, build_network, closing
+from axijax.neighbors import Network, build_network
 from axijax.observe import Observation
 from axijax.packing import Specimen, cut_to_sector
 from axijax.platform import warn_where_batched
@@ -139,6 +140,8 @@ class TriaxialTest:
                 grid=grid_for(network) if self.rebuild_every else None,
             ),
         }
+        if self.lateral_load is not None:
+            prepared["lateral_load"] = replace(self.lateral_load, stale=0.0)  # what is constant does not age
         for name, value in prepared.items():
             object.__setattr__(self, name, value)
 
@@ -166,7 +169,8 @@ class TriaxialTest:
     ) -> "Run":
         """Run the test to its axial strain and return curve and final state; lists are rebuilt where needed.
 
-        progress: called with where the test stands: once before the first step of the shear, then about every 1000.
+        progress: called with where the test stands: once before the first step of the shear, then about every 1000, and
+            whenever the lists are made anew.
         start: go on from here, see `axijax.checkpoint.load_progress`, instead of confining; its parameters are used.
         checkpoint: file to which the progress is written now and then, at the end and at an interruption (Ctrl-C).
 
@@ -196,6 +200,12 @@ class TriaxialTest:
                 save_progress(checkpoint, self, now)
         curve = curve_of(now, self.axial_strain)
         raise_for_status(curve.status, curve)
+        if curve.axial_strain.size < 3:
+            raise SimulationError(
+                f"the test went wrong: the platens passed axial_strain = {self.axial_strain:g} before the third "
+                "record: lower platen_speed or record_every.",
+                curve,
+            )
         warn_of_chatter(curve)
         return Run(curve, now.network, now.membrane, now.state)
 
@@ -214,7 +224,7 @@ class TriaxialTest:
         state = start_shear(self.scene, network, confined)
         fixed = fixed_load(self.protocol, self.prepared(network, membrane), state)
         height = float(state.platens[1] - state.platens[0])
-        worn = bool(closing(network, state.displacement) > WORN * network.skin)
+        worn = bool(are_worn(network, membrane, state, fixed))
         return Progress(params, network, membrane, state, fixed, balance, height, no_records(), worn=worn)
 
     def _go_on(self, now: "Progress") -> "Progress":
@@ -269,6 +279,10 @@ class Progress(NamedTuple):
     swelling: float = 1.0
     done: int = 0
     worn: bool = False
+
+    def steps(self, record_every: int) -> int:
+        """Steps of the shear that were taken."""
+        return (self.records.height.size - (self.done > 0)) * record_every + self.done
 
     @property
     def strain(self) -> float:

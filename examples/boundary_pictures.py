@@ -7,7 +7,7 @@ from boundary_statistics import STRAINS, changes, curves_of, full_scatter, of_si
 
 ORDERS = (1, 2, 3, 4, 6, 8, 12)
 COLOURS = dict(zip(ORDERS, ("black", "C0", "C9", "C2", "C8", "C1", "C3"), strict=True))
-FRICTION = 0.3  # at which curves and profiles are shown
+FRICTION = 0.5  # at which curves and profiles are shown
 
 
 def draw(samples, folder: Path) -> None:
@@ -47,8 +47,8 @@ def draw_strength(samples, path: Path) -> None:
         axes[0, 0].plot(100 * STRAINS, curves["stress_ratio"].mean(axis=0), label=label, **style)
         axes[1, 0].plot(100 * STRAINS, 100 * curves["volumetric_strain"].mean(axis=0), **style)
     specimens = f"{size} balls, f = {friction:g}"
-    axes[0, 0].set(title=f"stress ratio R, mean curves,\n{specimens}", xlabel="axial strain [%]", ylim=(1, None))
-    axes[0, 0].legend(title="n", ncols=3, fontsize=7, loc="lower right")
+    axes[0, 0].set(title=f"stress ratio R, mean curves,\n{specimens}", xlabel="axial strain [%]", ylim=(0.7, None))
+    axes[0, 0].legend(title="n", ncols=5, fontsize=7, loc="lower right", columnspacing=1)
     axes[1, 0].set(title="volumetric strain [%] (compression positive),\nthe same", xlabel="axial strain [%]")
 
     scatter = full_scatter(samples)
@@ -83,7 +83,9 @@ def draw_strength(samples, path: Path) -> None:
             label = f"n = {order}" + ", rigid" * (boundary == "rigid")
             points(by_friction, some, COLOURS[order], boundary, label, False)
     by_friction.set(title=f"R, mean over 1 to 5 %, change [%],\n{largest(samples)[1]} balls", xlabel="friction f")
-    by_friction.legend(fontsize=7)
+    low, high = by_friction.get_ylim()
+    by_friction.set_ylim(low, high + 0.3 * (high - low))
+    by_friction.legend(fontsize=7, ncols=2, loc="upper center")
     for panel in axes.ravel():
         if panel not in (axes[0, 0], axes[1, 0]):
             panel.axhline(0, color="0.5", linewidth=0.8)

@@ -193,16 +193,30 @@ def test_no_contact_is_missed_while_the_balls_have_closed_by_less_than_the_skin(
 
 
 def test_what_two_balls_can_have_closed_by():
-    """The sum of the two farthest; twice its own displacement for a ball that can touch its own image."""
+    """The sum of the two farthest; for a ball near the axis that of its own images as well, which meet it."""
     rho = np.array([1.2, 8.0, 8.0, 8.0])
     theta = np.array([0.3, 0.2, 0.8, 1.4])
     positions = np.stack([rho * np.cos(theta), rho * np.sin(theta), np.array([0.0, 0.0, 0.0, 0.0])])
     specimen = Specimen(positions, np.full(4, 0.8), -1.0, 1.0, np.ones(4, bool))
     moves = np.zeros((3, 4))
-    for order, own_image in ((1, 1), (4, 2)):
+    for order, own_image in ((1, 1), (4, 2 * 0.8 / 1.1)):
         network = build_network(specimen, Sector(order), skin=0.5)
         moves[:] = 0
-        moves[0, 0] = -0.1
-        assert float(closing(network, from_rows(moves))) == pytest.approx(0.1 * own_image, rel=1e-15)
+        moves[:2, 0] = -0.1 * positions[:2, 0] / 1.2
+        assert float(closing(network, from_rows(moves))) == pytest.approx(0.1 * own_image, rel=1e-12)
         moves[2, 1], moves[1, 3] = 0.4, -0.3
         assert float(closing(network, from_rows(moves))) == pytest.approx(0.7, rel=1e-15)
+
+
+@pytest.mark.parametrize("order", [2, 3, 4, 12])
+def test_a_ball_that_comes_slowly_near_the_axis_wears_the_list_on_the_way(order):
+    """By steps of a thousandth of the skin, from where it cannot touch its own image to where it does: there is a step
+    between worn and too late."""
+    skin = 0.8
+    for share in (0.3, 0.5, 0.59, 0.9):  # of the skin, to where they touch
+        place = np.array([[1 / np.sin(np.pi / order) + share * skin], [0.0], [0.0]])
+        network = build_network(Specimen(place, np.ones(1), -9.0, 9.0, np.ones(1, bool)), Sector(order), skin=skin)
+        ways = np.arange(0, place[0, 0], skin / 1000)
+        closed = [float(closing(network, from_rows([[-way], [0.0], [0.0]]))) for way in ways[:1000]]
+        worn = np.flatnonzero(np.array(closed) > 0.6 * skin)[0]
+        assert closed[worn] < 0.61 * skin

@@ -187,7 +187,7 @@ def orbit(sector, params, motion, first_turns, sliding=None):
         records.append(record)
         if sliding is not None:
             assert is_sliding(params, record, network, state) == sliding
-        # The pair moves as one, so that its list stays right after more than half the skin: without a sector it serves
+        # The pair moves as one, so that its list stays right however far it moves: without a sector it serves
         # the whole orbit. In a sector, bring the balls home.
         if sector.order == 1:
             continue

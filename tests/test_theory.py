@@ -783,7 +783,7 @@ def test_numpy_arrays_jit_and_gradient_agree_with_numbers(formula, rest):
 
 
 def test_inertial_number_is_the_time_of_a_push_over_that_of_the_shear():
-    """sqrt(m/(s3 d)) up to the shape of a ball: a cube of side d falls by d/2 in sqrt(density/s3) d under a stress s3."""
+    """sqrt(m/(s3 d)) up to the shape of a ball: a cube of side d moves by d/2 in sqrt(density/s3) d under s3."""
     rate, radius, density, stress = 2 * 0.01 / 718.82, 20.0, 2000.0, 5e4  # the paper's test
     side, force, mass = 2 * radius, stress * 4 * radius**2, density * 8 * radius**3
     push = np.sqrt(2 * (side / 2) / (force / mass))

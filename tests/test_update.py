@@ -11,6 +11,8 @@ import pytest
 from test_neighbors import ANY_OVERLAP, every_pair, from_both_sides, listed, random_balls
 
 from axijax import triaxial
+from axijax.confinement import current_load
+from axijax.curve import SimulationError
 from axijax.dynamics import Params
 from axijax.neighbors import build_network, carry_springs
 from axijax.packing import fcc_octagon
@@ -225,6 +227,28 @@ def test_lists_are_made_anew_between_records():
     found = often.run().curve.stress_ratio[::20]
     assert seldom.stress_ratio.size > 4
     np.testing.assert_allclose(seldom.stress_ratio, found[: seldom.stress_ratio.size], rtol=1e-9)
+
+
+def test_a_run_without_a_curve_is_refused():
+    """Records so far apart that there are two of them are no curve."""
+    test = TriaxialTest(
+        fcc_octagon(layers=7, half_width=3), Sector(4), params=Params(platen_speed=0.05), axial_strain=0.02,
+        tolerance=1e-3, record_every=100_000,
+    )  # fmt: skip
+    with pytest.raises(SimulationError, match="before the third record: lower platen_speed or record_every"):
+        test.run()
+
+
+def test_a_given_load_does_not_age():
+    """A constant load measured where the cells were stale would have the lists made anew for ever."""
+    small = TriaxialTest(
+        fcc_octagon(layers=7, half_width=3), Sector(4), params=Params(platen_speed=0.05), axial_strain=0.002,
+        tolerance=1e-3, record_every=20,
+    )  # fmt: skip
+    load = current_load(small.membrane, small.network, small.confine()[0])
+    fresh, aged = (replace(small, lateral_load=replace(load, stale=stale)).run() for stale in (0.0, 1.0))
+    assert fresh.curve.stress_ratio.max() > 1.2
+    np.testing.assert_array_equal(aged.curve.stress_ratio, fresh.curve.stress_ratio)
 
 
 def test_tangents_pass_through_lists_made_anew(shear):
