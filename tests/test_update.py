@@ -239,6 +239,27 @@ def test_a_run_without_a_curve_is_refused():
         test.run()
 
 
+def test_a_ball_that_has_left_the_membrane_stops_the_run():
+    """One ball more, off the specimen and free: twice as far out as the membrane's mean it has left; nearer it may be a
+    ball of a specimen that barrels."""
+    small = fcc_octagon(layers=5, half_width=3)
+    middle = np.hypot(*small.positions[:2, small.membrane_zone]).mean()
+
+    def with_one_more(rho):
+        place = np.array([[rho], [0.0], [small.height / 2]])
+        return TriaxialTest(
+            replace(
+                small, positions=np.concatenate([small.positions, place], 1), radius=np.append(small.radius, 20.0),
+                membrane_zone=np.append(small.membrane_zone, False),
+            ),
+            Sector(1), params=Params(platen_speed=0.1), axial_strain=0.004, tolerance=1e-2, record_every=10,
+        )  # fmt: skip
+
+    assert with_one_more(1.9 * middle).run().curve.axial_strain.size > 2
+    with pytest.raises(SimulationError, match="has left the membrane"):
+        with_one_more(2.1 * middle).run()
+
+
 def test_a_given_load_does_not_age():
     """A constant load measured where the cells were stale would have the lists made anew for ever."""
     small = TriaxialTest(
