@@ -7,7 +7,7 @@ processes at once:
     python examples/boundary_sensitivity.py --output study            # run what is missing
     python examples/boundary_sensitivity.py --output study --draw     # table and pictures of what is there
 
-`boundary_statistics` says what is computed of the runs, `boundary_pictures` draws it.
+`boundary_statistics` computes what is compared, `boundary_tables` and `boundary_pictures` show it.
 """
 
 import argparse
@@ -137,7 +137,8 @@ def main() -> None:
     options.output.mkdir(parents=True, exist_ok=True)
     if options.draw:
         from boundary_pictures import draw
-        from boundary_statistics import print_tables, statistics_of, write_csv
+        from boundary_statistics import statistics_of
+        from boundary_tables import print_tables, write_csv
 
         samples = statistics_of(options.output)
         write_csv(samples, options.output / "boundary_sensitivity.csv")

@@ -1,6 +1,6 @@
 """Statistics of the boundary study: means over the seeds, their errors, and changes from the full cylinder."""
 
-import csv
+import itertools
 import json
 from collections import defaultdict
 from dataclasses import dataclass, field
@@ -12,19 +12,8 @@ STRAINS = np.linspace(0, 0.149, 299)  # axial strains at which curves are compar
 WINDOW = 0.01  # axial strain over which a curve is averaged before its peak is taken
 EARLY, LATE = (0.01, 0.05), (0.11, 0.149)  # axial strain
 CURVES = ("stress_ratio", "virial_ratio", "core_ratio", "volumetric_strain", "coordination_number")
+ARCS = (0, 2.8, 3.5, 4.5, 5.5, 8.5, 20)  # mean diameters
 COMPARED = ("early ratio", "peak ratio", "critical ratio", "early ratio x (1 + void ratio)")
-ALL = "all"  # in place of a friction: the mean over the frictions
-DEFINITIONS = """\
-Axial strain 0 to 15 %, curves averaged over 1 % of strain, no cut. R = s1/s3, platen force over the area of radius Rm.
-peak ratio, strain at peak, dilatancy at peak (-d(volumetric strain)/d(axial strain) over +-1 % about it): of the MEAN
-curve over the seeds. early ratio: mean over 1 to 5 %. critical ratio: mean over 11 to 15 %. mean of the runs' peaks:
-each run's own maximum; noise lifts it, the more the fewer balls a sector has. scatter: standard deviation over the
-seeds, of the early ratio or at the strain of the mean curve's peak. early ratio x (1 + void ratio): as if all sections
-were as solid; the hole that a narrow sector has along its axis carries no load. Errors (+-): jackknife over the seeds;
-a strain at peak is a maximum's place, whose error the jackknife only indicates. void ratio, solid fractions: before
-shear; inner half is within Rm/2. coordination: ball-ball contacts only, so that rigid planes lower it. arc length:
-2 pi Rm/n. f = all: mean over the frictions of the changes from n = 1; packings are the same at all frictions, so a
-seed is left out at all of them together."""
 
 
 @dataclass
@@ -118,7 +107,7 @@ def densities_of(run) -> dict[str, float]:
 
 
 def numbers_of(curves, scalars) -> dict[str, float]:
-    """The numbers that the study compares, of a set of runs; DEFINITIONS says what each is."""
+    """The numbers that the study compares, of a set of runs; `boundary_tables.DEFINITIONS` says what each is."""
     mean = {name: rows.mean(axis=0) for name, rows in (curves | scalars).items()}
     peak = int(mean["stress_ratio"].argmax())
     near = np.abs(STRAINS - STRAINS[peak]) < WINDOW
@@ -185,91 +174,34 @@ def full_scatter(samples) -> dict[int, float]:
     return {size: 100 * float(np.sqrt(np.mean(some))) for size, some in squares.items()}
 
 
-def write_csv(samples, path: Path) -> None:
-    rows = []
-    for sample in samples.values():
-        row = {
-            "size": sample.size, "friction": sample.friction, "boundary": sample.boundary, "order": sample.order,
-            "runs": len(sample.runs), "failed": len(sample.failed),
-        }  # fmt: skip
-        for name, value in sample.numbers.items():
-            row[name] = value
-            if name in next(iter(sample.left_out.values()), {}):
-                row[name + " +-"] = sample.error(name)
-        if sample.left_out:
-            row["scatter of a run's early ratio"] = sample.scatter()
-        rows.append(row)
-    at = {(row["size"], row["friction"], row["boundary"], row["order"]): row for row in rows}
-    frictions = sorted({sample.friction for sample in samples.values()})
-    for wanted in (*((f,) for f in frictions), None):
-        for name in COMPARED:
-            for (size, boundary, order), (value, error, arc) in changes(samples, name, wanted).items():
-                key = size, wanted[0] if wanted else ALL, boundary, order
-                if key not in at:
-                    at[key] = dict(zip(("size", "friction", "boundary", "order"), key, strict=True))
-                    at[key]["arc length [diameters]"] = arc
-                    rows.append(at[key])
-                at[key][f"{name}, change from n = 1 [%]"] = value
-                at[key][f"{name}, change from n = 1 [%] +-"] = error
-    fields = list(dict.fromkeys(name for row in rows for name in row))
-    with open(path, "w", newline="") as file:
-        for line in DEFINITIONS.splitlines():
-            file.write(f"# {line}\n")
-        writer = csv.DictWriter(file, fields)
-        writer.writeheader()
-        writer.writerows(
-            {name: f"{value:.5g}" if isinstance(value, float) else value for name, value in row.items()} for row in rows
-        )
+def by_arc(found) -> list[tuple[float, float, int, float, float, float]]:
+    """Changes of all sizes and orders between periodic planes, together by the arc of the sector, wide ones first.
 
-
-def print_tables(samples) -> None:
-    """Markdown: changes from the full cylinder, over all frictions and by friction; then the numbers themselves."""
-    print(DEFINITIONS + "\n")
-    scatter = full_scatter(samples)
-    sizes = sorted(scatter)
-    for name in COMPARED:
-        print(f"\n{name}, change from n = 1 [%], mean over the frictions (arc length in diameters)")
-        found = changes(samples, name)
-        print_changes({f"{size} balls": of_size(found, size) for size in sizes})
-    print("\nscatter of single full cylinders, early ratio [%]")
-    table([f"{size} balls" for size in sizes], [[f"{scatter[size]:.1f}" for size in sizes]])
-    frictions = sorted({sample.friction for sample in samples.values()})
-    by_friction = {f"f = {f:g}": changes(samples, "early ratio", (f,)) for f in frictions}
-    for size in sizes:
-        print(f"\nearly ratio, change from n = 1 [%], {size} balls, by friction")
-        print_changes({name: of_size(found, size) for name, found in by_friction.items()})
-    shown = ("peak ratio", "strain at peak [%]", "dilatancy at peak", "early ratio", "critical ratio",
-             "coordination at end", "void ratio at start", "solid fraction, inner half",
-             "solid fraction, outer half")  # fmt: skip
+    Arc from and to [diameters], number of samples, weighted mean and its error [%], chi^2 a degree of freedom; where
+    that is above 1 the error is widened by its root. Sectors of a size share a full cylinder: errors are a little low.
+    """
+    periodic = [value for (_, boundary, _), value in found.items() if boundary == "periodic"]
     rows = []
-    for sample in samples.values():
-        row = [f"{sample.size}", f"{sample.friction:g}", sample.boundary, f"{sample.order}", f"{len(sample.runs)}"]
-        row[-1] += f", {len(sample.failed)} failed" * bool(sample.failed)
-        for name in shown if sample.numbers else ():
-            digits = 1 if "%" in name else 3
-            row.append(f"{sample.numbers[name]:.{digits}f} ± {sample.error(name):.{digits}f}")
-        rows.append(row)
-    print()
-    table(["balls", "f", "boundary", "n", "runs", *shown], rows)
+    for least, most in itertools.pairwise(ARCS):
+        some = np.array([(value, error) for value, error, arc in periodic if least <= arc < most])
+        if len(some):
+            weight = some[:, 1] ** -2
+            mean = (weight * some[:, 0]).sum() / weight.sum()
+            spread = (weight * (some[:, 0] - mean) ** 2).sum() / max(len(some) - 1, 1)
+            rows.append((least, most, len(some), mean, np.sqrt(max(spread, 1) / weight.sum()), spread))
+    return rows[::-1]
 
 
 def of_size(found, size):
     return {key[1:]: value for key, value in found.items() if key[0] == size}
 
 
-def print_changes(columns) -> None:
-    """A table of changes: under each heading those by (boundary, order)."""
-    rows = []
-    for boundary, order in sorted({key for some in columns.values() for key in some}):
-        row = [f"{order}{', rigid' * (boundary == 'rigid')}"]
-        for some in columns.values():
-            value = some.get((boundary, order))
-            row.append("{:+.1f} ± {:.1f} ({:.1f})".format(*value) if value else "-")
-        rows.append(row)
-    table(["n", *columns], rows)
-
-
-def table(heads, rows) -> None:
-    print("| " + " | ".join(heads) + " |\n" + "|---" * len(heads) + "|")
-    for row in rows:
-        print("| " + " | ".join(row) + " |")
+def narrowest(found, scatter: float) -> int:
+    """Largest order up to which no periodic sector differs from the full cylinder by more than the scatter."""
+    largest = 1
+    for (boundary, order), (value, *_) in sorted(found.items()):
+        if boundary == "periodic":
+            if abs(value) > scatter:
+                break
+            largest = order
+    return largest

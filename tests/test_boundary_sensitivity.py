@@ -86,6 +86,25 @@ def test_change_from_the_full_cylinder_is_pooled_by_seed():
     assert statistics.full_scatter(samples)[504] == pytest.approx(100 * relative * 2, rel=1e-9)
 
 
+def test_changes_by_arc_are_weighted_means():
+    """Two samples that agree, two that do not: then the error is what their spread says; rigid planes are left out."""
+    found = {(504, "periodic", 2): (-1.0, 1.0, 9.0), (1008, "periodic", 2): (-0.5, 0.5, 12.0),
+             (504, "periodic", 8): (0.0, 1.0, 2.0), (504, "periodic", 12): (-10.0, 1.0, 1.5),
+             (504, "rigid", 4): (-10.0, 1.0, 9.0)}  # fmt: skip
+    wide, narrow = statistics.by_arc(found)
+    assert wide[:3] == (8.5, 20, 2) and narrow[:3] == (0, 2.8, 2)
+    assert wide[3:5] == pytest.approx(((-1.0 - 0.5 * 4) / 5, 5**-0.5))
+    assert narrow[3:] == pytest.approx((-5.0, 5.0, 50.0))
+
+
+def test_the_narrowest_sector_is_the_last_before_one_that_differs():
+    found = {("periodic", 2): (0.5, 9, 9), ("periodic", 3): (-0.9, 9, 9), ("periodic", 4): (1.1, 9, 9),
+             ("periodic", 6): (0.1, 9, 9), ("rigid", 3): (5.0, 9, 9)}  # fmt: skip
+    assert statistics.narrowest(found, 1.0) == 3
+    assert statistics.narrowest(found, 2.0) == 6
+    assert statistics.narrowest(found, 0.1) == 1
+
+
 def test_densities_and_profiles_weigh_as_they_should():
     """Solid fractions by area of the rings; parts of the fabric by contacts, empty bins left out."""
     density = statistics.densities_of(run_of(2.0))
