@@ -23,7 +23,7 @@ FRICTION = (0.1, 0.2, 0.3)
 
 def tiny(radius: float = 20.0) -> axijax.TriaxialTest:
     specimen = axijax.fcc_octagon(radius, layers=3, half_width=3)
-    return axijax.TriaxialTest(specimen, scene=axijax.Scene(rotation=False), axial_strain=0.0006)
+    return axijax.TriaxialTest(specimen, scene=axijax.Scene(rotation=False), axial_strain=0.0006, record_every=25)
 
 
 def members() -> list[Member]:

@@ -128,7 +128,8 @@ def test_whatever_goes_wrong_sets_a_bit():
         return int(found_again(grid, network, moves, springs)[2])
 
     assert bits(network, replace(moves, x=moves.x.at[7].set(jnp.nan))) & NOT_FINITE
-    assert bits(network, replace(still, z=still.z.at[7].set(0.51 * SKIN))) == STALE_LIST
+    assert bits(network, replace(still, z=still.z.at[7].set(0.51 * SKIN))) == 0, "alone it meets nobody too early"
+    assert bits(network, replace(still, z=still.z.at[7].set(0.51 * SKIN).at[8].set(-0.51 * SKIN))) == STALE_LIST
     assert bits(network, moves, grid=Grid((5, 5, 4), 2)) == FULL_LIST
 
     tight = build_network(specimen, sector, SKIN, largest_overlap=ANY_OVERLAP)
