@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 
 from axijax.neighbors import build_network, carry_springs, closing
 from axijax.packing import Specimen
 from axijax.sector import Sector
-from axijax.vector import from_rows
+from axijax.vector import Vector, from_rows
 
 ANY_OVERLAP = 1e9
 
@@ -177,7 +178,7 @@ def test_no_contact_is_missed_while_the_balls_have_closed_by_less_than_the_skin(
     network = build_network(specimen, Sector(order), skin=skin, largest_overlap=ANY_OVERLAP)
     on_axis = (np.hypot(*specimen.positions[:2]) == 0) & (order > 1)
     held = set(from_both_sides(listed(network), on_axis, order))
-    rng, missed, sound = np.random.default_rng(order), 0, 0
+    rng, missed, sound, closed = np.random.default_rng(order), 0, 0, jax.jit(closing)
     for _ in range(400):
         moves = rng.normal(size=specimen.positions.shape) * np.where(on_axis, [[0], [0], [1]], 1)
         if rng.uniform() < 0.5:  # one ball alone, by up to twice the skin
@@ -185,7 +186,7 @@ def test_no_contact_is_missed_while_the_balls_have_closed_by_less_than_the_skin(
         moves *= rng.uniform(0, 2 * skin) / np.linalg.norm(moves, axis=0).max()
         moved = replace(specimen, positions=specimen.positions + moves, bottom=-9.0, top=9.0)
         touching = {key for key in every_pair(moved, order, 0.0) if not on_axis[key[0]]}
-        worn = float(closing(network, from_rows(moves))) > skin
+        worn = float(closed(network, from_rows(moves))) > skin
         missed += not touching <= held
         sound += not worn
         assert touching <= held or worn
@@ -216,7 +217,7 @@ def test_a_ball_that_comes_slowly_near_the_axis_wears_the_list_on_the_way(order)
     for share in (0.3, 0.5, 0.59, 0.9):  # of the skin, to where they touch
         place = np.array([[1 / np.sin(np.pi / order) + share * skin], [0.0], [0.0]])
         network = build_network(Specimen(place, np.ones(1), -9.0, 9.0, np.ones(1, bool)), Sector(order), skin=skin)
-        ways = np.arange(0, place[0, 0], skin / 1000)
-        closed = [float(closing(network, from_rows([[-way], [0.0], [0.0]]))) for way in ways[:1000]]
-        worn = np.flatnonzero(np.array(closed) > 0.6 * skin)[0]
+        ways = np.arange(0, place[0, 0], skin / 1000)[:1000, None]
+        closed = np.asarray(jax.vmap(lambda way, to=network: closing(to, Vector(-way, 0 * way, 0 * way)))(ways))
+        worn = np.flatnonzero(closed > 0.6 * skin)[0]
         assert closed[worn] < 0.61 * skin
