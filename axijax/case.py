@@ -261,7 +261,7 @@ def _packed(specimen: str, sector: str, material: tuple[tuple[str, float], ...])
     try:
         return random_cylinder(sector=ours, grading=grading, params=Params(**dict(material)), **options)
     except RuntimeError as error:
-        told = str(error).split(": raise")[0]
+        told = str(error).rpartition(": ")[0]  # its own remedy is for callers of the function
         raise RuntimeError(
             f"{told}: take another specimen.seed, more balls, or a higher compaction_friction."
         ) from None

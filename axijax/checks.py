@@ -9,9 +9,11 @@ import numpy as np
 
 from axijax.confinement import STALE
 from axijax.curve import CHATTER
+from axijax.observe import in_core
 from axijax.results import Result
 from axijax.snapshot import Snapshot, snapshot
 from axijax.triaxial import TriaxialTest
+from axijax.vector import from_rows
 
 # Axial strain over which the energy ledger is kept, where it is asked for.
 LEDGER_STRAIN = 5e-4
@@ -137,12 +139,10 @@ def _core_check(test: TriaxialTest | None, platen: float, core: float, radius: f
         return Check(name, gap, f"differs by design: only {slenderness:.2g} diameters high", None, meaning)
     if test.cut.zone_rule == "given":
         return _at_most(name, gap, 0.1, meaning)
-    place, middle = test.cut.positions, (test.cut.top + test.cut.bottom) / 2
-    inside = (np.hypot(*place[:2]) < radius / 2) & (np.abs(place[2] - middle) < 0.3 * test.cut.height)
-    inside_count = int(inside.sum())
-    if inside_count < FEW:
-        return Check(name, gap, f"scatters: {inside_count} balls in the core", None, meaning)
-    return _at_most(name, gap, max(0.1, 2 * inside_count**-0.5), meaning)
+    count = int(in_core(from_rows(test.cut.positions), radius, np.array([test.cut.bottom, test.cut.top])).sum())
+    if count < FEW:
+        return Check(name, gap, f"scatters: {count} balls in the core", None, meaning)
+    return _at_most(name, gap, max(0.1, 2 * count**-0.5), meaning)
 
 
 def _state_checks(test: TriaxialTest, seen: Snapshot) -> list[Check]:

@@ -28,15 +28,12 @@ def check(
         from axijax.results import open_result
 
         checks = result_checks(open_result(what), energy=True)
+        sound = all(one.passed is not False for one in checks)
         if as_json:
-            print(
-                json.dumps(
-                    {"sound": all(c.passed is not False for c in checks), "checks": [c._asdict() for c in checks]}
-                )
-            )
+            print(json.dumps({"sound": sound, "checks": [one._asdict() for one in checks]}))
         else:
             _print_checks(checks)
-        if not all(c.passed is not False for c in checks):
+        if not sound:
             raise typer.Exit(1)
     else:
         from axijax.case import load_case

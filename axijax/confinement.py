@@ -188,13 +188,11 @@ def current_load(membrane: Membrane, network: Network, state: State, fixed: Load
 
 def wear(network: Network, state: State, load: Load) -> jax.Array:
     """How far the lists have aged, contact list or membrane, as a share of where they are made anew."""
-    return jnp.maximum(closing(network, state.displacement) / (WORN * network.skin), load.stale / (WORN_CELLS * STALE))
+    return jnp.maximum(_list_wear(network, state), load.stale / (WORN_CELLS * STALE))
 
 
-@jax.jit
-def are_worn(network: Network, membrane: Membrane, state: State, fixed: Load | None) -> jax.Array:
-    """Whether the lists have to be made anew."""
-    return wear(network, state, current_load(membrane, network, state, fixed)) > 1
+def _list_wear(network: Network, state: State) -> jax.Array:
+    return closing(network, state.displacement) / (WORN * network.skin)
 
 
 def until_balls_moved(step, network: Network, most: int, state: State) -> tuple[State, jax.Array]:
@@ -203,7 +201,7 @@ def until_balls_moved(step, network: Network, most: int, state: State) -> tuple[
 
     def going(carry):
         state, taken = carry
-        return (taken < most) & ((taken == 0) | (closing(network, state.displacement) <= WORN * network.skin))
+        return (taken < most) & ((taken == 0) | (_list_wear(network, state) <= 1))
 
     def stride(carry):
         state, taken = carry
@@ -220,10 +218,7 @@ def rebuilt(cut: Specimen, network: Network, membrane: Membrane, state: State, l
     made with room to spare: a new shape is compiled anew.
     """
     sector = network.sector
-    bottom, top = (float(height) for height in state.platens)
-    zone = np.isin(np.arange(len(cut)), np.asarray(membrane.zone))
-    place = np.asarray(positions(network, state))
-    now = replace(cut, positions=place, bottom=bottom, top=top, membrane_zone=zone)
+    now = specimen_now(cut, network, membrane, state)
     now = replace(now, membrane_zone=zone_found_again(now, sector))
     skin, dtype = float(network.skin), network.dtype
     new = _list_in(network.slot.shape[0], network.first.size, now, sector, skin, largest_overlap, dtype)
@@ -232,6 +227,14 @@ def rebuilt(cut: Specimen, network: Network, membrane: Membrane, state: State, l
     if state.spring is not None:
         state = state._replace(spring=carry_springs(network, new, state.spring))
     return new, surface, state
+
+
+def specimen_now(cut: Specimen, network: Network, membrane: Membrane, state: State) -> Specimen:
+    """A test's balls, platens and membrane zone as they are in a state (host)."""
+    bottom, top = (float(height) for height in state.platens)
+    zone = np.isin(np.arange(len(cut)), np.asarray(membrane.zone))
+    place = np.asarray(positions(network, state))
+    return replace(cut, positions=place, bottom=bottom, top=top, membrane_zone=zone)
 
 
 def roomy_lists(specimen: Specimen, sector: Sector, dtype=np.float64) -> tuple[Network, Membrane]:

@@ -117,14 +117,18 @@ def chatter(scene: Scene, params: Params, network: Network, dt, state: State, fo
     return jnp.maximum(along, reversing(slip.dot(next_slip), limit))
 
 
+def in_core(place: Vector, radius, platens) -> jax.Array:
+    """Which places are in the inner core, rho < Rm/2 and the middle 60 % of the height; platens: (2,) heights [L]."""
+    middle, height = platens.mean(), platens[1] - platens[0]
+    return (radial_distance(place) < radius / 2) & (jnp.abs(place.z - middle) < 0.3 * height)
+
+
 def core_stress_ratio(network: Network, forces: Forces, normal, place, radius, platens) -> jax.Array:
     """Vertical over mean horizontal Love-Weber stress of the inner core; the mean is the same for all images.
 
     Each ball adds force times arm of its own half of a contact; the core's volume drops out of the ratio.
     """
-    middle, height = platens.mean(), platens[1] - platens[0]
-    inside = (radial_distance(place) < radius / 2) & (jnp.abs(place.z - middle) < 0.3 * height)
-    arm = network.radius * inside
+    arm = network.radius * in_core(place, radius, platens)
     arm = network.share * (arm[network.first] + arm[network.second])
     force = forces.contacts.force
     vertical = (force.z * normal.z * arm).sum()

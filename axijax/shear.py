@@ -122,11 +122,19 @@ def _shear_rebuilding(
 
 @partial(jax.jit, static_argnums=(0, 1))
 def shear_until_worn(
-    scene: Scene, protocol: Protocol, prepared: Prepared, params: Params, state: State, fixed: Load | None, done
+    scene: Scene,
+    protocol: Protocol,
+    prepared: Prepared,
+    params: Params,
+    state: State,
+    fixed: Load | None,
+    done,
+    fresh,
 ):
     """As `shear`, but stops where a list is worn, in the middle of a block if need be.
 
-    done: steps taken since the last record; other than zero in the middle of a block.
+    done: steps taken since the last record; other than zero in the middle of a block. fresh: the lists were just made
+        anew, so that it goes on at least a little whatever they look like.
     Returns the state; what was observed, in arrays of protocol.blocks places; the status of these blocks and of the
     last state together; how many records were made; the steps done since the last one; whether a list is worn.
     """
@@ -136,8 +144,8 @@ def shear_until_worn(
 
     def going(carry):
         state, load, _, _, number, done_now = carry
-        fresh = (number == 0) & (done_now == done)
-        return (number < protocol.blocks) & (fresh | (wear(network, state, load) <= 1))
+        at_start = (number == 0) & (done_now == done)
+        return (number < protocol.blocks) & ((fresh & at_start) | (wear(network, state, load) <= 1))
 
     def further(carry):
         state, load, records, bits, number, done = carry

@@ -22,7 +22,6 @@ import numpy as np
 from axijax.confinement import (
     Confinement,
     Limits,
-    are_worn,
     confining_scene,
     rebuilt,
     roomy_lists,
@@ -224,8 +223,7 @@ class TriaxialTest:
         state = start_shear(self.scene, network, confined)
         fixed = fixed_load(self.protocol, self.prepared(network, membrane), state)
         height = float(state.platens[1] - state.platens[0])
-        worn = bool(are_worn(network, membrane, state, fixed))
-        return Progress(params, network, membrane, state, fixed, balance, height, no_records(), worn=worn)
+        return Progress(params, network, membrane, state, fixed, balance, height, no_records())
 
     def _go_on(self, now: "Progress") -> "Progress":
         """About 1000 steps further, or until a list is worn; lists that are worn are made anew first."""
@@ -239,7 +237,7 @@ class TriaxialTest:
         stretch = replace(self.protocol, blocks=-(-SEGMENT // self.record_every))
         prepared = self.prepared(network, membrane)
         state, seen, status, records, done, worn = shear_until_worn(
-            self.scene, stretch, prepared, now.params, state, now.fixed, now.done
+            self.scene, stretch, prepared, now.params, state, now.fixed, now.done, now.worn
         )
         seen = jax.tree.map(lambda values: np.asarray(values)[: int(records)], seen)
         seen = seen._replace(membrane_radius=seen.membrane_radius * swelling)

@@ -88,11 +88,15 @@ def visible_share(positions: np.ndarray, radius: np.ndarray, sector: Sector) -> 
         kept &= (j != i) | (turn[near] != 0)
         return i[kept], near[kept]
 
+    def facing(i, points):
+        """Radial lines through points of the balls' discs: angle from the centre's, and how far out they leave."""
+        angle = np.arcsin(np.clip(radius[i, None] * across[points] / rho[i, None], -1, 1))
+        return angle, rho[i, None] * np.cos(angle) + radius[i, None] * depth[points]
+
     def hidden(i, near, points):
         """Whether ball i is hidden by one that may stand before it, at these points of its disc; (pairs, points)."""
         j = ball[near]
-        angle = np.arcsin(np.clip(radius[i, None] * across[points] / rho[i, None], -1, 1))
-        own = rho[i, None] * np.cos(angle) + radius[i, None] * depth[points]
+        angle, own = facing(i, points)
         along = angle - (theta[j] + turn[near] * sector.angle - theta[i])[:, None]
         height = z[i, None] + radius[i, None] * upward[points] - z[j, None]
         inside = radius[j, None] ** 2 - (rho[j, None] * np.sin(along)) ** 2 - height**2
@@ -105,8 +109,7 @@ def visible_share(positions: np.ndarray, radius: np.ndarray, sector: Sector) -> 
         i, near = in_front(some, radius.max(), (rho + radius)[some])
         seen[i[hidden(i, near, slice(1))[:, 0]]] = False
     for some in np.array_split(np.flatnonzero(seen), 1 + count // 4000):
-        angle = np.arcsin(np.clip(radius[some, None] * across / rho[some, None], -1, 1))
-        lowest = (rho[some, None] * np.cos(angle) + radius[some, None] * depth).min(axis=1)
+        lowest = facing(some, slice(None))[1].min(axis=1)
         i, near = in_front(some, radius[some] + radius.max(), lowest)
         covered = np.zeros((count, POINTS), bool)
         np.logical_or.at(covered, i, hidden(i, near, slice(None)))

@@ -3,9 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-from boundary_statistics import STRAINS, changes, curves_of, full_scatter, of_size
+from boundary_statistics import ORDERS, STRAINS, changes, curves_of, full_scatter, of_size
 
-ORDERS = (1, 2, 3, 4, 6, 8, 12)
 COLOURS = dict(zip(ORDERS, ("black", "C0", "C9", "C2", "C8", "C1", "C3"), strict=True))
 FRICTION = 0.5  # at which curves and profiles are shown
 

@@ -15,14 +15,13 @@ import fcntl
 import itertools
 import json
 import multiprocessing
-import os
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from boundary_statistics import ORDERS
 
-ORDERS = (1, 2, 3, 4, 6, 8, 12)
 RIGID = (3, 4, 6, 8, 12)
 INERTIAL_NUMBER = 2e-3
 COMPACTION_FRICTION = 0.05  # dense; without any friction a packing takes five times as long to settle
@@ -45,6 +44,7 @@ def packings(options):
 def sheared(specimen, report, sector, friction, strain) -> dict:
     """Shear one specimen and return what the study keeps of it."""
     import axijax
+    from axijax.confinement import specimen_now
     from axijax.fabric import contact_statistics, profiles
     from axijax.random_packing import platen_speed
     from axijax.results import RECORDS
@@ -61,9 +61,7 @@ def sheared(specimen, report, sector, friction, strain) -> dict:
         confine_steps=100_000,
     )
     run = test.run()
-    zone = np.isin(np.arange(len(test.cut)), np.asarray(run.membrane.zone))
-    bottom, top = (float(height) for height in run.state.platens)
-    end = replace(test.cut, positions=run.positions, bottom=bottom, top=top, membrane_zone=zone)
+    end = specimen_now(test.cut, run.network, run.membrane, run.state)
     rows = {field: np.asarray(getattr(run.curve, field), float) for field in RECORDS}
     shown = {}
     for stage, cut, radius in (
@@ -87,6 +85,7 @@ def work(options) -> None:
     """Make and shear all that is missing and that no other process is at."""
     import axijax
     from axijax.random_packing import random_cylinder
+    from axijax.results import write_whole
 
     axijax.fast_cpu_kernels()
     for size, order, boundary, seed in packings(options):
@@ -115,9 +114,8 @@ def work(options) -> None:
                     "size": size, "order": order, "boundary": boundary, "friction": friction, "seed": seed,
                     "strain": options.strain,
                 }  # fmt: skip
-                part = paths[friction].with_suffix(f".{os.getpid()}.part")
-                part.write_text(json.dumps(found))
-                part.replace(paths[friction])
+                text = json.dumps(found)
+                write_whole(paths[friction], lambda part, text=text: part.write_text(text))
             lock.unlink(missing_ok=True)
         if missing:
             print(f"{packing}: {len(missing)} tests in {time.perf_counter() - started:.0f} s", flush=True)

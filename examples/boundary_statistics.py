@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+ORDERS = (1, 2, 3, 4, 6, 8, 12)  # sectors in the full cylinder
 STRAINS = np.linspace(0, 0.149, 299)  # axial strains at which curves are compared
 WINDOW = 0.01  # axial strain over which a curve is averaged before its peak is taken
 EARLY, LATE = (0.01, 0.05), (0.11, 0.149)  # axial strain
@@ -49,7 +50,7 @@ def jackknife(values) -> float:
 def statistics_of(folder: Path) -> dict[tuple, Sample]:
     """Samples of all runs in a folder, by (size, friction, boundary, order). Raises SystemExit where there is none."""
     samples: dict[tuple, Sample] = {}
-    for path in sorted(folder.glob("*.json")):
+    for path in sorted(folder.glob("[0-9]*.json")):
         found = json.loads(path.read_text())
         case = found["case"]
         key = case["size"], case["friction"], case["boundary"], case["order"]

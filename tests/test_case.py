@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cli_in_process import axijax
 
-from axijax import Params, Scene, Sector, TriaxialTest
+from axijax import Params, Scene, Sector, TriaxialTest, case
 from axijax.case import KINDS, SECTIONS, Case, default_case, load_case, to_toml
 from axijax.grading import sieve_curve
 
@@ -136,3 +136,20 @@ def test_bad_cases_get_one_sentence(tmp_path, text, words):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(ValueError, match=r"nowhere\.toml' cannot be read"):
         load_case(tmp_path / "nowhere.toml")
+
+
+def test_a_packing_that_does_not_settle_has_one_remedy(monkeypatch):
+    """The function's own remedies, in place of which stand those of a case file."""
+    from axijax import random_packing
+
+    for told in ("compaction stopped after 10 steps: raise most_steps.", "confinement: too fast: take a denser start."):
+
+        def stops(*_, told=told, **__):
+            raise RuntimeError(told)
+
+        case._packed.cache_clear()
+        monkeypatch.setattr(random_packing, "random_cylinder", stops)
+        with pytest.raises(RuntimeError) as raised:
+            default_case("random").made()
+        why = told.rsplit(":", 1)[0]
+        assert str(raised.value) == f"{why}: take another specimen.seed, more balls, or a higher compaction_friction."
