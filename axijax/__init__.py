@@ -21,15 +21,24 @@ else:
 if TYPE_CHECKING:
     from axijax import theory
     from axijax.curve import Curve, SimulationError, raise_for_status
-    from axijax.dynamics import Params, Scene
+    from axijax.damping import BackgroundDamping, Dashpot, LocalDamping
+    from axijax.dynamics import Scene
+    from axijax.hertz import Hertz
+    from axijax.linear import Linear
     from axijax.packing import Specimen, fcc_cylinder, fcc_octagon
+    from axijax.params import Params
     from axijax.platform import fast_cpu_kernels, use_compilation_cache
     from axijax.random_packing import platen_speed, random_cylinder
     from axijax.sector import Sector
     from axijax.triaxial import TriaxialTest
 
 __all__ = [
+    "BackgroundDamping",
     "Curve",
+    "Dashpot",
+    "Hertz",
+    "Linear",
+    "LocalDamping",
     "Params",
     "Scene",
     "Sector",
@@ -49,7 +58,11 @@ __all__ = [
 # The module that each name is in; any other name is that of a module.
 _HOMES = {
     "curve": ("Curve", "SimulationError", "raise_for_status"),
-    "dynamics": ("Params", "Scene"),
+    "damping": ("BackgroundDamping", "Dashpot", "LocalDamping"),
+    "dynamics": ("Scene",),
+    "hertz": ("Hertz",),
+    "linear": ("Linear",),
+    "params": ("Params",),
     "packing": ("Specimen", "fcc_cylinder", "fcc_octagon"),
     "platform": ("fast_cpu_kernels", "use_compilation_cache"),
     "random_packing": ("platen_speed", "random_cylinder"),

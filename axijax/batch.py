@@ -27,7 +27,8 @@ import numpy as np
 
 from axijax.batch_files import Stored, open_batch, read_member, slug, write_failure, write_member, write_summary
 from axijax.curve import RECORDS, Curve, warn_of_chatter
-from axijax.dynamics import Params, check_params
+from axijax.params import Params, check_params
+from axijax.quantity import present
 from axijax.results import writable_folder
 from axijax.shear import simulate
 from axijax.time_step import check_step, critical_time_step
@@ -361,7 +362,7 @@ def _acceptable() -> Callable[[Member], bool]:
         try:
             check_params(params, len(test.cut))
             if not test.allow_unsafe_step:
-                known = (id(test), *(value for name, value in vars(params).items() if name != "friction"))
+                known = (id(test), *(value for name, (_, value) in present(params).items() if name != "friction"))
                 if known not in limits:
                     limits[known] = critical_time_step(test.scene, params, test.network)
                 check_step(test.time_step, limits[known])

@@ -18,7 +18,7 @@ import numpy as np
 
 from axijax.confinement import Confinement
 from axijax.curve import RECORDS, Curve
-from axijax.dynamics import Params
+from axijax.params import Params
 from axijax.results import curves_dataset, save_dataset, save_table, write_whole
 from axijax.triaxial import TriaxialTest
 

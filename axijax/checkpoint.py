@@ -112,7 +112,7 @@ def _template(test: TriaxialTest, fixed: bool) -> Progress:
         params=test.params,
         network=test.network,
         membrane=test.membrane,
-        state=initial_state(test.network, test.scene, jnp.zeros(2)),
+        state=initial_state(test.scene, test.params, test.network, jnp.zeros(2)),
         fixed=Load(zero, zero) if fixed else None,
         confinement=Confinement(zero, zero, zero),
         height=0.0,

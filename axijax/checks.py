@@ -216,7 +216,7 @@ def _ledger_error(test: TriaxialTest) -> float:
 
     confined, _ = test.confine()
     network, membrane, params, dt = test.network, test.membrane, test.params, test.time_step
-    start = start_shear(test.scene, network, confined)
+    start = start_shear(test.scene, params, network, confined)
     fixed = fixed_load(test.protocol, test.prepared(network, membrane), start)
     step = make_ledger_step(test.scene, platen_ramp(test.ramp_time))
     seen = partial(energy_balance, test.scene)

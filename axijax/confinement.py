@@ -11,12 +11,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from axijax.dynamics import Params, Scene, State, confined_stiffness, initial_state, make_step, mass_per_cube, positions
+from axijax.damping import BackgroundDamping
+from axijax.dynamics import Scene, initial_state, make_step, positions
 from axijax.membrane import Load, Membrane, build_membrane, membrane_load
-from axijax.neighbors import Network, build_network, carry_springs, closing
+from axijax.neighbors import Network, build_network, carry_memory, closing
 from axijax.observe import observe
 from axijax.packing import Specimen
+from axijax.params import Params
 from axijax.sector import Sector
+from axijax.state import State
 from axijax.vector import zeros
 from axijax.zone import zone_found_again
 
@@ -60,10 +63,14 @@ class Limits(NamedTuple):
         return self.friction > 0
 
 
-def confining_scene(scene: Scene, limits: Limits) -> Scene:
-    """What is modelled in confinement: the scene's contact law, background damping, and springs and spins only where
-    there is friction."""
-    return Scene(rotation=limits.rubbing, friction=limits.rubbing, damping="background", contact_law=scene.contact_law)
+def confining_scene(limits: Limits) -> Scene:
+    """What is modelled in confinement: spins only where there is friction."""
+    return Scene(rotation=limits.rubbing)
+
+
+def confining_params(params: Params, scene: Scene, limits: Limits, rate: jax.Array | float = 0.0) -> Params:
+    """The parameters in confinement: background damping at this rate [1/T], and springs only where there is friction."""
+    return replace(params, damping=BackgroundDamping(rate), friction=limits.friction if scene.rotation else None)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -87,10 +94,8 @@ def confine(
     platens = start[0].platens
     # In a lattice the slowest mode, half a wave along the specimen, is damped critically; the others settle within it.
     share = RANDOM_DAMPING if membrane.zone_rule == "exposure" else 1.0
-    rate = share * 2 * jnp.pi * wave_speed(scene, params, network) / (platens[1] - platens[0]).astype(network.dtype)
-    params = replace(params, background_damping=rate)
-    if scene.friction:
-        params = replace(params, friction=limits.friction)
+    rate = share * 2 * jnp.pi * wave_speed(params, network) / (platens[1] - platens[0]).astype(network.dtype)
+    params = confining_params(params, scene, limits, rate)
     step = make_step(scene, _servo(network))
 
     def unsettled(carry):
@@ -134,7 +139,7 @@ def settle(
     Arguments as in `confine`. Returns the last lists, the state and its balance, which may be outside the tolerance
     after limits.most_steps. Raises RuntimeError where a ball moves too fast for the lists.
     """
-    state = initial_state(network, scene, jnp.asarray([specimen.bottom, specimen.top]))
+    state = initial_state(scene, confining_params(params, scene, limits), network, [specimen.bottom, specimen.top])
     balance = unconfined(network.dtype)
     while True:
         lists = network, membrane
@@ -149,11 +154,11 @@ def settle(
         network, membrane, state = rebuilt(specimen, network, membrane, state)
 
 
-def wave_speed(scene: Scene, params: Params, network: Network):
+def wave_speed(params: Params, network: Network):
     """P-wave speed of a close packing with stuck contacts, 2 r sqrt((kn + ks)/m) [L/T]; sets ramps and damping."""
     radius = network.radius.mean()
-    mass = params.density * (4 / 3) * np.pi * radius**3
-    normal, shear = confined_stiffness(scene, params, network)
+    mass = params.material.mass_per_cube * radius**3
+    normal, shear = params.material.confined_stiffness(network, params.confining_stress)
     return 2 * radius * ((normal + shear) / mass) ** 0.5
 
 
@@ -165,7 +170,7 @@ def _servo(network: Network):
 
     def drive(params, state, dt, push, section):
         load = params.confining_stress * section
-        mass = mass_per_cube(params) * cubes
+        mass = params.material.mass_per_cube * cubes
         half = 0.5 * dt * params.background_damping
         inward = jnp.array([1.0, -1.0], push.dtype) * (load - push) / mass
         return ((1 - half) * state.platen_speeds + dt * inward) / (1 + half)
@@ -224,9 +229,7 @@ def rebuilt(cut: Specimen, network: Network, membrane: Membrane, state: State, l
     new = _list_in(network.slot.shape[0], network.first.size, now, sector, skin, largest_overlap, dtype)
     surface = _membrane_in(membrane.corner.shape[1], membrane.zone.size, now, sector, dtype)
     state = state._replace(displacement=zeros(network.radius.shape, network.dtype))
-    if state.spring is not None:
-        state = state._replace(spring=carry_springs(network, new, state.spring))
-    return new, surface, state
+    return new, surface, state._replace(memory=carry_memory(network, new, state.memory))
 
 
 def specimen_now(cut: Specimen, network: Network, membrane: Membrane, state: State) -> Specimen:

@@ -9,7 +9,8 @@ import numpy as np
 from axijax.case import Case
 from axijax.confinement import Confinement
 from axijax.curve import SimulationError, no_records
-from axijax.dynamics import confined_stiffness, initial_state
+from axijax.damping import BackgroundDamping, LocalDamping
+from axijax.dynamics import initial_state
 from axijax.membrane import membrane_radius
 from axijax.theory import inertial_number
 from axijax.time_step import SAFE_STEP, critical_time_step
@@ -60,7 +61,7 @@ def forecast(case: Case, measure: bool = True) -> Forecast:
     """
     test = case.build()
     params, radius = test.params, float(test.cut.radius.mean())
-    stiffness = float(confined_stiffness(test.scene, params, test.network)[0])
+    stiffness = float(params.material.confined_stiffness(test.network, params.confining_stress)[0])
     rate = 2 * float(params.platen_speed) / test.cut.height
     steps = test.protocol.blocks * test.record_every
     compiling, per_step = _timed(test) if measure else (None, None)
@@ -90,7 +91,7 @@ def _timed(test: TriaxialTest) -> tuple[float | None, float | None]:
     """Seconds to compile the shear, and for one step of it; None where the balls do not stay for so long."""
     zero = jnp.zeros(())
     height = test.cut.height
-    state = initial_state(test.network, test.scene, jnp.asarray([test.cut.bottom, test.cut.top]))
+    state = initial_state(test.scene, test.params, test.network, [test.cut.bottom, test.cut.top])
     loose = Progress(
         test.params, test.network, test.membrane, state, test.lateral_load, Confinement(zero, zero, zero), height,
         no_records(),
@@ -118,10 +119,12 @@ def _memory() -> int | None:
 
 def _warnings(case: Case, test: TriaxialTest, found: Forecast, collapsed: bool) -> list[str]:
     """What the README's sharp bits say of this case."""
-    params, scene, sector, strain = test.params, test.scene, test.sector, test.axial_strain
-    friction = float(np.max(np.asarray(params.friction))) if scene.friction else 0.0
+    params, sector, strain = test.params, test.sector, test.axial_strain
+    friction = float(np.max(np.asarray(params.friction))) if params.material.frictional else 0.0
     share = found.time_step / found.critical_time_step
-    local_limit = 1 / (1 + float(params.local_damping)) ** 0.5
+    damping = params.material.damping
+    local = isinstance(damping, LocalDamping)
+    local_limit = 1 / (1 + float(damping.local_damping)) ** 0.5 if isinstance(damping, LocalDamping) else 1.0
     lattice_sector = sector.order > 1 and sector.boundary == "periodic" and case.specimen.kind in ("octagon", "fcc")
     slenderness = found.height / (2 * found.membrane_radius)
     told = [
@@ -177,20 +180,20 @@ def _warnings(case: Case, test: TriaxialTest, found: Forecast, collapsed: bool) 
             "layers 2.465); look at core_ratio instead",
         ),
         (
-            scene.damping == "local",
+            local,
             "local damping gives right values and meaningless derivatives",
         ),
         (
-            scene.damping == "local" and share > local_limit,
+            local and share > local_limit,
             f"local damping: the true limit of the time step is {local_limit:.2f} of the critical one, and it is "
             f"{share:.2f} of it; the rise may chatter; lower test.time_step",
         ),
         (
-            scene.damping == "background",
+            isinstance(damping, BackgroundDamping),
             "mass-proportional damping adds strength: 0.2 % at a rate of 0.05/T, 2 % at 0.5/T, 8 % at 2/T",
         ),
         (
-            scene.damping == "none",
+            damping is None,
             "nothing damps the shear: the waves that the platens send off stay",
         ),
         (

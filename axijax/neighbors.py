@@ -11,6 +11,7 @@ to large coordinates, and any image of a ball may represent it.
 """
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +21,9 @@ from scipy.spatial import cKDTree
 from axijax.packing import Specimen
 from axijax.sector import Sector, radial_distance
 from axijax.vector import Vector, from_rows
+
+if TYPE_CHECKING:
+    from axijax.term import Memory
 
 
 @jax.tree_util.register_dataclass
@@ -238,11 +242,12 @@ def _pair_up(i, j, k, on_axis, sector: Sector):
     return i, contact, np.where(own, 1.0, -1.0), turn, (i[own], j[own], k[own])
 
 
-def carry_springs(old: Network, new: Network, springs: Vector) -> Vector:
-    """Springs (C,) of the old list's contacts, each at its place (i, j, k) in the new list (host).
+def carry_memory(old: Network, new: Network, memory: tuple["Memory", ...]) -> tuple["Memory", ...]:
+    """The terms' memory with what belongs to the old list's contacts, (C,) arrays, at each contact's place (i, j, k) in
+    the new list (host).
 
-    A contact that the new list does not hold is open, and its spring is dropped. Both lists must describe every
-    ball by the same image.
+    What belongs to a contact that the new list does not hold is dropped. Both lists must describe every ball by the
+    same image.
     """
     count, images = old.radius.size, old.sector.images
 
@@ -254,4 +259,8 @@ def carry_springs(old: Network, new: Network, springs: Vector) -> Vector:
     order = np.argsort(before)
     place = order[np.minimum(np.searchsorted(before, after, sorter=order), before.size - 1)]
     found = (before[place] == after) & (after >= 0)
-    return from_rows([np.asarray(component)[place] * found for component in springs])
+
+    def carried(values):
+        return jnp.asarray(np.asarray(values)[place] * found)
+
+    return tuple(each._replace(contact=jax.tree.map(carried, each.contact)) for each in memory)

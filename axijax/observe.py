@@ -5,11 +5,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from axijax.contact import Geometry, contact_friction, geometry
-from axijax.dynamics import Forces, Params, Scene, State, all_forces, next_motion, positions, secant_stiffness_ratio
+from axijax.contacts import Geometry, geometry
+from axijax.dynamics import Forces, Scene, all_forces, next_motion, positions
 from axijax.membrane import Load, Membrane, lateral_force, membrane_radius
 from axijax.neighbors import Network
+from axijax.params import Params
 from axijax.sector import radial_distance
+from axijax.state import State
 from axijax.vector import Vector
 
 
@@ -45,14 +47,14 @@ def observe(
     forces = all_forces(scene, params, network, load, dt, state)
     place = positions(network, state)
     height = state.platens[1] - state.platens[0]
-    platen_force = jnp.stack([(push * network.weight).sum() for push in forces.platen_push]).mean()
+    platen_force = forces.platen_forces(network).mean()
     lateral = lateral_force(params.confining_stress, load, place)
 
     force = forces.contacts.force
-    branch = geometry(network, state.displacement)
-    normal = branch.apart * (1 / jnp.sqrt(branch.apart.dot(branch.apart)))
+    pair = geometry(network, state.displacement)
+    normal = pair.branch * (1 / jnp.sqrt(pair.branch.dot(pair.branch)))
     normal_force = force.dot(normal)
-    touching = (branch.overlap > 0) * network.share
+    touching = (pair.overlap > 0) * network.share
     number = touching.sum()
     some = jnp.maximum(number, 1e-300)
     mean_force = (normal_force * network.share).sum() / some
@@ -69,7 +71,7 @@ def observe(
         coordination_number=2 * number / network.weight.sum(),
         unbalanced_force=(resultant * network.weight).sum() / network.weight.sum() / jnp.maximum(mean_force, 1e-300),
         sliding_fraction=sliding,
-        chatter=chatter(scene, params, network, dt, state, forces, branch, normal),
+        chatter=chatter(params, network, dt, state, forces, pair, normal),
     )
 
 
@@ -77,11 +79,11 @@ def at_coulomb_limit(params: Params, network: Network, force: Vector, normal: Ve
     """Which contacts slide, by their forces and normals, (C,) vectors; the cap is a product of rounded numbers."""
     normal_force = force.dot(normal)
     tangential = force - normal * normal_force
-    limit = (1 - 1e-6) * contact_friction(params, network) * normal_force
+    limit = (1 - 1e-6) * params.material.contact_friction(network) * normal_force
     return tangential.dot(tangential) >= limit**2
 
 
-def chatter(scene: Scene, params: Params, network: Network, dt, state: State, forces: Forces, branch: Geometry, normal):
+def chatter(params: Params, network: Network, dt, state: State, forces: Forces, pair: Geometry, normal):
     """How far contacts move to and fro from one step to the next, against what their springs hold [-].
 
     -sum(u . u') / sum(s^2) over the touching contacts, u and u' being the slips of this step and of the next, s the
@@ -90,20 +92,20 @@ def chatter(scene: Scene, params: Params, network: Network, dt, state: State, fo
     all that the Coulomb cap leaves of it is this. Slips of a sound run go on as they began: it stays below zero, or
     within rounding of it. It has no derivative.
     """
-    params, state, forces, branch, normal = jax.lax.stop_gradient((params, state, forces, branch, normal))
+    params, state, forces, pair, normal = jax.lax.stop_gradient((params, state, forces, pair, normal))
 
     def moved(velocity: Vector, spin: Vector | None) -> tuple[Vector, jax.Array]:
         relative = network.of_first(velocity) - network.of_second(velocity)
         if spin is not None:
             surface = spin * network.radius
             turning = network.of_first(surface) + network.of_second(surface)
-            relative = relative - turning.cross(branch.apart) * branch.per_reach
+            relative = relative - turning.cross(pair.branch) * pair.per_reach
         approach = relative.dot(normal)
         return (relative - normal * approach) * dt, approach * dt
 
     slip, approach = moved(state.velocity, state.spin)
-    next_slip, next_approach = moved(*next_motion(scene, params, network, dt, state, forces))
-    overlap = jnp.maximum(branch.overlap, 0.0)
+    next_slip, next_approach = moved(*next_motion(params, network, dt, state, forces))
+    overlap = jnp.maximum(pair.overlap, 0.0)
     touching = (overlap > 0) * network.share
 
     def reversing(product, scale):
@@ -113,7 +115,7 @@ def chatter(scene: Scene, params: Params, network: Network, dt, state: State, fo
     along = reversing(approach * next_approach, overlap)
     if state.spring is None:
         return along
-    limit = contact_friction(params, network) * overlap * secant_stiffness_ratio(scene, params)
+    limit = params.material.contact_friction(network) * overlap * params.material.stiffness_ratio()
     return jnp.maximum(along, reversing(slip.dot(next_slip), limit))
 
 

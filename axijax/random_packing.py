@@ -14,11 +14,12 @@ import numpy as np
 
 from axijax import theory
 from axijax.confinement import Limits, confining_scene, roomy_lists, settle
-from axijax.dynamics import Params, Scene, check_params, positions
+from axijax.dynamics import positions
 from axijax.fabric import contact_statistics, inside_balls, measured, pairs_within, sample_points
 from axijax.grading import Grading, linear
 from axijax.membrane import build_membrane, membrane_radius
 from axijax.packing import Specimen, check_positive
+from axijax.params import Params, check_params
 from axijax.sector import Sector, plane_normals
 from axijax.time_step import DEFAULT_STEP
 from axijax.vector import from_rows
@@ -249,7 +250,7 @@ def _compacted(loose: Specimen, sector: Sector, params: Params, limits: Limits):
     mass = float(params.density) * (4 / 3) * np.pi * loose.radius.min() ** 3
     # The limit of twelve contacts a ball, which no ball of the smallest size exceeds (PHYSICS 3.5).
     dt = float(DEFAULT_STEP * np.sqrt(mass / (10 * max(float(params.normal_stiffness), float(params.shear_stiffness)))))
-    scene = confining_scene(Scene(), limits)
+    scene = confining_scene(limits)
     network, membrane, state, balance = settle(scene, loose, network, membrane, params, dt, limits)
     if not float(balance.worst) <= limits.tolerance:
         raise RuntimeError(

@@ -12,6 +12,7 @@ from axijax.confinement import (
     Confinement,
     Limits,
     confine,
+    confining_params,
     confining_scene,
     current_load,
     repeat,
@@ -20,11 +21,13 @@ from axijax.confinement import (
     wear,
 )
 from axijax.curve import Curve, make_curve
-from axijax.dynamics import Params, Scene, State, initial_state, make_step, positions
+from axijax.dynamics import Scene, initial_state, make_step, positions
 from axijax.membrane import Load, Membrane
 from axijax.neighbors import Network, closing
 from axijax.observe import observe
+from axijax.params import Params
 from axijax.sector import radial_distance
+from axijax.state import State
 from axijax.status import ESCAPED, NOT_CONFINED, NOT_FINITE, STALE_CELLS, STALE_LIST
 from axijax.update import Grid, renew
 
@@ -210,26 +213,26 @@ def _trouble(network: Network, membrane: Membrane, state: State, load: Load) -> 
 def confine_test(scene: Scene, protocol: Protocol, prepared: Prepared, params: Params) -> tuple[State, Confinement]:
     """Confinement with one contact list throughout."""
     network = prepared.network
-    scene = confining_scene(scene, protocol.limits)
-    start = initial_state(network, scene, prepared.platens), unconfined(network.dtype)
+    scene, limits = confining_scene(protocol.limits), protocol.limits
+    start = initial_state(scene, confining_params(params, scene, limits), network, prepared.platens), unconfined(network.dtype)
     lists = network, prepared.membrane
     load = prepared.lateral_load
-    return confine(scene, False, protocol.limits, lists, prepared.time_step, load, params, start)
+    return confine(scene, False, limits, lists, prepared.time_step, load, params, start)
 
 
-def start_shear(scene: Scene, network: Network, confined: State) -> State:
+def start_shear(scene: Scene, params: Params, network: Network, confined: State) -> State:
     """The test's friction on, balls and platens from rest; springs of a frictional confinement are kept, or else start
     from nothing."""
-    rest = initial_state(network, scene, confined.platens)
+    rest = initial_state(scene, params, network, confined.platens)
     spring = rest.spring if confined.spring is None or rest.spring is None else confined.spring
-    return rest._replace(displacement=confined.displacement, spring=spring)
+    return rest._replace(displacement=confined.displacement).with_spring(spring)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
 def simulate(scene: Scene, protocol: Protocol, prepared: Prepared, params: Params) -> Curve:
     """The curve of a test: confinement and shear. One contact list serves it all, but for protocol.rebuild_every."""
     confined, balance = confine_test(scene, protocol, prepared, params)
-    start = start_shear(scene, prepared.network, confined)
+    start = start_shear(scene, params, prepared.network, confined)
     _, seen, status = shear(scene, protocol, prepared, params, start, fixed_load(protocol, prepared, start))
     settled = balance.worst <= protocol.limits.tolerance
     status = jnp.bitwise_or.reduce(status) | jnp.where(settled, 0, NOT_CONFINED)

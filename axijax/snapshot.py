@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax.confinement import current_load
-from axijax.contact import geometry, resultants
+from axijax.contacts import geometry, resultants
 from axijax.dynamics import all_forces, positions
 from axijax.membrane import lateral_force, membrane_radius
 from axijax.observe import at_coulomb_limit
@@ -221,9 +221,9 @@ def _mechanics(scene, params, network, membrane, fixed, dt, state):
     place = positions(network, state)
     load = current_load(membrane, network, state, fixed)
     forces = all_forces(scene, params, network, load, dt, state)
-    branch = geometry(network, state.displacement)
+    pair = geometry(network, state.displacement)
     force = forces.contacts.force
-    normal = branch.apart * (1 / branch.apart.dot(branch.apart) ** 0.5)
+    normal = pair.branch * (1 / pair.branch.dot(pair.branch) ** 0.5)
     sliding = jnp.zeros_like(network.first, bool)
     if forces.contacts.spring is not None:
         sliding = at_coulomb_limit(params, network, force, normal)
@@ -233,11 +233,11 @@ def _mechanics(scene, params, network, membrane, fixed, dt, state):
         planes = forces.resultant - resultants(forces.contacts, network)[0] - lateral
     return {
         "force": jnp.stack([*force]),
-        "apart": jnp.stack([*branch.apart]),
-        "overlap": branch.overlap,
+        "apart": jnp.stack([*pair.branch]),
+        "overlap": pair.overlap,
         "sliding": sliding,
         "push": jnp.stack(forces.platen_push),
-        "platens": jnp.stack([(side * network.weight).sum() for side in forces.platen_push]),
+        "platens": forces.platen_forces(network),
         "lateral": jnp.stack([*lateral]),
         "planes": jnp.stack([*planes]),
         "area": load.lateral if load.lateral.ndim == 1 else jnp.zeros_like(network.radius),

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from axijax import theory
-from axijax.dynamics import Params
 from axijax.packing import fcc_octagon
+from axijax.params import Params
 from axijax.results import curves_dataset, save_dataset, save_table
 from axijax.sector import Boundary, Sector
 from axijax.triaxial import Run, TriaxialTest

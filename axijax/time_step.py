@@ -3,42 +3,15 @@
 import jax.numpy as jnp
 import numpy as np
 
-from axijax.dynamics import Params, Scene
-from axijax.hertz import confined_force, hertz_force, reduced_radius, tangent_stiffness
+from axijax.dynamics import Scene, spins as scene_spins
 from axijax.neighbors import Network
+from axijax.params import Params
 from axijax.sector import plane_normals
 
 # Largest share of the critical time step that is accepted, and the share taken by default. Past the limit nothing
 # blows up: the Coulomb cap bounds the motion and the peak silently falls, so the limit is kept at arm's length.
 SAFE_STEP = 0.8
 DEFAULT_STEP = 0.6
-
-# Hertzian contacts grow stiffer under load, with the cube root of their force. The time step is chosen for contacts
-# with this many times the mean force under the confining stress: in a close packing at failure it is 2/(1 - f) times.
-OVERLOAD = 4.0
-
-
-def _stiffest(scene: Scene, params: Params, network: Network, touching_within: float):
-    """Tangent stiffness of the contacts if closed, normal and tangential, (C,) or numbers, and that of the contacts of
-    one plate as a function of the balls that touch it, its area and their overlaps [F/L] (host)."""
-    if scene.contact_law == "linear":
-        wall = float(params.platen_stiffness)
-        return float(params.normal_stiffness), float(params.shear_stiffness), lambda balls, area, overlap: wall
-    radius = np.asarray(network.radius, float)
-    force = OVERLOAD * confined_force(params, network, touching_within)
-    reduced = reduced_radius(network)
-    normal, shear = tangent_stiffness(
-        params, reduced, jnp.maximum(force, hertz_force(params, reduced, network.overlap))
-    )
-
-    def of_wall(balls, area, overlap):
-        share = np.asarray(network.weight)[balls].sum()
-        load = OVERLOAD * float(params.confining_stress) * area / max(share, 1e-3)
-        load = jnp.maximum(load, hertz_force(params, radius[balls], overlap))
-        return np.asarray(tangent_stiffness(params, radius[balls], load)[0])
-
-    return np.asarray(normal), np.asarray(shear), of_wall
-
 
 def critical_time_step(scene: Scene, params: Params, network: Network, touching_within: float = 1e-3) -> float:
     """Largest stable time step 2/omega (sqrt(1 + xi^2) - xi) of the actual network [T] (host).
@@ -48,8 +21,8 @@ def critical_time_step(scene: Scene, params: Params, network: Network, touching_
     undamped part). Found by a sparse eigenvalue solver. With dashpots it need not be the fastest mode's: where
     ks < kn they damp spins more. Contacts count as closed where the gap is below touching_within of the ball's radius.
 
-    With contact_law = "hertz" the stiffness is that at the load to come: `OVERLOAD` times the mean contact force under
-    the confining stress, or at the overlap of the network where that is deeper.
+    A Hertzian stiffness is that at the load to come: `hertz.OVERLOAD` times the mean contact force under the confining
+    stress, or at the overlap of the network where that is deeper.
     """
     from scipy.sparse.linalg import LinearOperator, eigsh
 
@@ -59,19 +32,21 @@ def critical_time_step(scene: Scene, params: Params, network: Network, touching_
     normal = (np.asarray(network.branch) / np.asarray(network.distance))[:, closed]
     cos, sin = np.asarray(network.cos, float)[closed], np.asarray(network.sin, float)[closed]
     share_of_contact = np.asarray(network.share, float)[closed]
-    mass = float(np.asarray(params.density)) * 4 / 3 * np.pi * radius**3
-    spins = scene.spins
+    material = params.material
+    mass = float(np.asarray(material.density)) * 4 / 3 * np.pi * radius**3
+    spins = scene_spins(scene, params)
     share = np.asarray(network.weight, float)
     free = np.asarray(network.free)
     free = np.concatenate([free, free]) if spins else free
     scale = np.stack([mass] * 3 + [0.4 * mass * radius**2] * (3 if spins else 0))
     scale = 1 / np.sqrt(scale * share)
     count = radius.size
-    normal_constant, shear_constant, wall_constant = _stiffest(scene, params, network, touching_within)
+    normal_constant, shear_constant, wall_constant = material.stiffest(
+        network, params.confining_stress, touching_within
+    )  # fmt: skip
     constants = [np.broadcast_to(k, network.first.shape)[closed] for k in (normal_constant, shear_constant)]
-    stiffness = constants[0], constants[1] * scene.friction
-    beta = float(np.asarray(params.damping_ratio)) if scene.damping == "dashpot" else 0.0
-    beta *= (5 / 6) ** 0.5 if scene.contact_law == "hertz" else 1.0
+    stiffness = constants[0], constants[1] * material.frictional
+    beta = float(np.asarray(material.kind_of_damping.viscosity_ratio or 0.0)) * material.dashpot_factor
     reduced = 1 / (1 / mass[first] + 1 / mass[second])
     normal_viscosity, shear_viscosity = (2 * beta * np.sqrt(constant * reduced) for constant in stiffness)
 

@@ -29,14 +29,16 @@ from axijax.confinement import (
     wave_speed,
 )
 from axijax.curve import Curve, SimulationError, make_curve, no_records, raise_for_status, warn_of_chatter
-from axijax.dynamics import Params, Scene, State, check_params, positions
+from axijax.dynamics import Scene, positions
 from axijax.membrane import Load, Membrane, build_membrane, membrane_radius
 from axijax.neighbors import Network, build_network
 from axijax.observe import Observation
 from axijax.packing import Specimen, cut_to_sector
+from axijax.params import Params, check_params
 from axijax.platform import warn_where_batched
 from axijax.sector import Sector
 from axijax.shear import Prepared, Protocol, confine_test, fixed_load, shear_until_worn, simulate, start_shear
+from axijax.state import State
 from axijax.status import NOT_CONFINED
 from axijax.time_step import DEFAULT_STEP, check_step, critical_time_step
 from axijax.update import grid_for
@@ -121,7 +123,7 @@ class TriaxialTest:
             raise ValueError(f"time_step = {step!r}: must be positive and finite [T].")
         if not self.allow_unsafe_step:
             check_step(step, limit)
-        ramp = 8 * cut.height / wave_speed(self.scene, self.params, network)
+        ramp = 8 * cut.height / wave_speed(self.params, network)
         speed = 2 * float(self.params.platen_speed)
         duration = self.axial_strain * cut.height / speed + ramp / 2
         prepared = {
@@ -214,13 +216,13 @@ class TriaxialTest:
         if params is not self.params and not self.allow_unsafe_step:
             check_step(self.time_step, critical_time_step(self.scene, params, self.network))
         limits = self.protocol.limits
-        scene = confining_scene(self.scene, limits)
+        scene = confining_scene(limits)
         network, membrane, confined, balance = settle(
             scene, self.cut, self.network, self.membrane, params, self.time_step, limits, self.lateral_load
         )  # fmt: skip
         if not float(balance.worst) <= self.tolerance:
             raise_for_status(NOT_CONFINED)
-        state = start_shear(self.scene, network, confined)
+        state = start_shear(self.scene, params, network, confined)
         fixed = fixed_load(self.protocol, self.prepared(network, membrane), state)
         height = float(state.platens[1] - state.platens[0])
         return Progress(params, network, membrane, state, fixed, balance, height, no_records())

@@ -11,18 +11,19 @@ k-d tree 3 to 12, 19 to 30, 130 to 210. All pairs take 7 to 83 and 250 to 1000, 
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import QhullError
 
-from axijax.contact import geometry
-from axijax.dynamics import State
+from axijax.contacts import geometry
 from axijax.membrane import Membrane, membrane_arrays
 from axijax.neighbors import Network, build_network, closing
 from axijax.packing import Specimen
 from axijax.sector import Sector
+from axijax.state import State
 from axijax.status import FULL_LIST, NOT_FINITE, STALE_CELLS, STALE_LIST
 from axijax.vector import Vector, zeros
 from axijax.zone import zone_found_again
@@ -69,12 +70,12 @@ def grid_for(network: Network, room: float = 1.5) -> Grid:
 
 
 def update(
-    grid: Grid, network: Network, displacement: Vector, springs: Vector | None
-) -> tuple[Network, Vector | None, jax.Array]:
-    """The contact list at the present positions, with the springs of the contacts that it shares with the old one.
+    grid: Grid, network: Network, displacement: Vector, memory: Any = None
+) -> tuple[Network, Any, jax.Array]:
+    """The contact list at the present positions, with the memory of the contacts that it shares with the old one.
 
-    displacement: (N,) vectors from the old list's reference positions, zero for the new list [L]. springs: (C,) [L], or
-    None. Returns list, springs and status bits: FULL_LIST where slots, contacts or cells did not suffice, STALE_LIST
+    displacement: (N,) vectors from the old list's reference positions, zero for the new list [L]. memory: a pytree of
+    (C,) arrays, such as the contacts' springs. Returns list, memory and status bits: FULL_LIST where slots, contacts or cells did not suffice, STALE_LIST
     where two balls may have come closer by more than the skin, so that the old list may have missed a contact,
     NOT_FINITE.
 
@@ -96,7 +97,7 @@ def update(
     far = 1e3 * network.radius.max()
     fresh = positions.at(first) - positions.at(second).turned(cos, sin)
     fresh = Vector(jnp.where(listed, fresh.x, far), fresh.y * listed, fresh.z * listed)
-    branch = Vector(*(jnp.where(known, a, b) for a, b in zip(moved.apart.at(place), fresh, strict=True)))
+    branch = Vector(*(jnp.where(known, a, b) for a, b in zip(moved.branch.at(place), fresh, strict=True)))
     distance = jnp.sqrt(branch.dot(branch))
     radii = network.radius[first], network.radius[second]
     overlap = jnp.where(known, moved.overlap[place], radii[0] + radii[1] - distance)
@@ -113,8 +114,7 @@ def update(
     bits = jnp.where(full | too_many, FULL_LIST, 0)
     bits |= jnp.where(closing(network, displacement) > network.skin, STALE_LIST, 0)
     bits |= jnp.where(jnp.isfinite(jnp.asarray(tuple(positions))).all(), 0, NOT_FINITE)
-    if springs is not None:
-        springs = springs.at(place).map(lambda part: jnp.where(known, part, 0.0))
+    memory = jax.tree.map(lambda part: jnp.where(known, part[place], 0.0), memory)
     made = replace(
         network,
         first=first,
@@ -133,7 +133,7 @@ def update(
         slot_sin=sine[turned],
         positions=positions,
     )
-    return made, springs, bits
+    return made, memory, bits
 
 
 def renew(grid: Grid, network: Network, membrane: Membrane, state: State):
@@ -143,7 +143,7 @@ def renew(grid: Grid, network: Network, membrane: Membrane, state: State):
     it has; FULL_LIST where that does not suffice, STALE_CELLS where it cannot be triangulated. Nothing of it has a
     tangent but the areas that are found from it.
     """
-    made, spring, bits = update(grid, network, state.displacement, state.spring)
+    made, carried, bits = update(grid, network, state.displacement, [each.contact for each in state.memory])
     held = membrane, network.radius, made.positions, state.platens
     membrane, trouble = jax.pure_callback(
         partial(_triangulated, network.sector, network.dtype),
@@ -152,7 +152,8 @@ def renew(grid: Grid, network: Network, membrane: Membrane, state: State):
         vmap_method="sequential",
     )
     still = zeros(network.radius.shape, network.dtype)
-    return made, membrane, state._replace(displacement=still, spring=spring), bits | trouble
+    memory = tuple(each._replace(contact=part) for each, part in zip(state.memory, carried, strict=True))
+    return made, membrane, state._replace(displacement=still, memory=memory), bits | trouble
 
 
 def _triangulated(sector: Sector, dtype, held) -> tuple[Membrane, np.ndarray]:

@@ -1,0 +1,58 @@
+"""Linear contacts: springs of constant stiffness, between balls and against plates."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from axijax.contacts import Law
+from axijax.material import Material
+from axijax.neighbors import Network
+from axijax.quantity import quantity
+from axijax.walls import Wall
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Linear(Material):
+    """Linear springs (Cundall & Strack 1979), those of Cui & O'Sullivan (2005) by default; plates are as stiff as balls.
+
+    Stiffnesses are the contact's, not the ball's.
+    """
+
+    normal_stiffness: jax.Array | float = quantity(
+        1.5e9, "normal stiffness of a contact", "F/L", above=0.0, symbols=("kn",)
+    )
+    shear_stiffness: jax.Array | float = quantity(
+        1.5e9, "tangential stiffness of a contact", "F/L", above=0.0, symbols=("ks",)
+    )
+
+    def contact_law(self, network: Network) -> Law:
+        friction = self.contact_friction(network) if self.frictional else None
+        stiffness = self.normal_stiffness, self.shear_stiffness
+        beta = self.kind_of_damping.viscosity_ratio
+        if beta is None:
+            return Law(*stiffness, friction, None, None)
+        reduced_mass = self.mass_per_cube * network.pair_cube
+        return Law(*stiffness, friction, *(2 * beta * jnp.sqrt(k * reduced_mass) for k in stiffness))
+
+    def wall_law(self, network: Network) -> Wall:
+        stiffness, shear = self.normal_stiffness, self.shear_stiffness
+        if self.platen_friction is None:
+            shear = None
+        beta = self.kind_of_damping.viscosity_ratio
+        if beta is None:
+            return Wall(stiffness, None, shear, None)
+        mass = self.mass_per_cube * network.radius**3
+        viscosity = [None if k is None else 2 * beta * jnp.sqrt(k * mass) for k in (stiffness, shear)]
+        return Wall(stiffness, viscosity[0], shear, viscosity[1])
+
+    def confined_stiffness(self, network, stress):
+        return self.normal_stiffness, self.shear_stiffness
+
+    def stiffness_ratio(self):
+        return self.normal_stiffness / self.shear_stiffness
+
+    def stiffest(self, network, stress, touching_within):
+        normal, shear = float(self.normal_stiffness), float(self.shear_stiffness)
+        return normal, shear, lambda balls, area, overlap: normal

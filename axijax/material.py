@@ -1,0 +1,87 @@
+"""What all materials of balls have in common; `axijax.linear` and `axijax.hertz` are the two that come with it.
+
+A material is a tree of parts, and a part that is None is not there: not compiled, not stored, not differentiated. So
+`Linear(friction=None)` has no tangential springs and nothing spins, and `Linear(damping=None)` no dashpots.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+
+from axijax.damping import UNDAMPED, Damping, Dashpot
+from axijax.quantity import quantity
+
+if TYPE_CHECKING:
+    from axijax.contact import ContactLaw
+    from axijax.neighbors import Network
+    from axijax.walls import WallLaw
+
+
+@dataclass(frozen=True, kw_only=True)
+class Material:
+    """Parts that every material has; frictional balls with dashpots in their contacts by default.
+
+    A subclass, from outside the package too, adds its own parameters with `quantity` and defines the methods below;
+    `jax.tree_util.register_dataclass` makes it a pytree.
+    """
+
+    friction: jax.Array | float | None = quantity(
+        0.12278,
+        "Coulomb coefficient between balls; none: no tangential forces",
+        "-",
+        symbols=("f", "mu"),
+        coordinate="logit",
+        per_ball=True,
+    )
+    density: jax.Array | float = quantity(2000.0, "density of the balls", "M/L^3", above=0.0, symbols=("rho",))
+    platen_friction: jax.Array | float | None = quantity(
+        None, "Coulomb coefficient between balls and platens; none: smooth, inf: glued", "-", coordinate="linear"
+    )
+    damping: Damping | None = Dashpot()
+
+    @property
+    def frictional(self) -> bool:
+        """Whether contacts carry tangential springs."""
+        return self.friction is not None
+
+    @property
+    def kind_of_damping(self) -> Damping:
+        return UNDAMPED if self.damping is None else self.damping
+
+    @property
+    def mass_per_cube(self):
+        """Mass of a ball over its radius cubed [M/L^3]."""
+        return self.density * (4 / 3) * jnp.pi
+
+    def contact_friction(self, network: "Network"):
+        """Friction coefficient of the contacts: one, or the mean of the two balls' where given per ball [-]."""
+        if jnp.ndim(self.friction) == 0:
+            return self.friction
+        return 0.5 * (self.friction[network.first] + self.friction[network.second])
+
+    def contact_law(self, network: "Network") -> "ContactLaw":
+        """The law of the contacts of balls."""
+        raise NotImplementedError
+
+    def wall_law(self, network: "Network") -> "WallLaw":
+        """The law of the balls' contacts with plates, all of the balls' material."""
+        raise NotImplementedError
+
+    def confined_stiffness(self, network: "Network", stress) -> tuple[Any, Any]:
+        """Normal and tangential tangent stiffness [F/L] of the mean contact under a confining stress."""
+        raise NotImplementedError
+
+    def stiffness_ratio(self):
+        """Normal force over overlap, over the tangential stiffness [-]; at any load the same."""
+        raise NotImplementedError
+
+    def stiffest(self, network: "Network", stress, touching_within: float):
+        """For the critical time step (host): tangent stiffness of the contacts if closed, normal and tangential, (C,)
+        or numbers, and that of the contacts of one plate as a function of the balls that touch it, its area and their
+        overlaps [F/L]."""
+        raise NotImplementedError
+
+    # What the dashpots' coefficients 2 beta sqrt(k m*) are multiplied by, k being the tangent stiffness.
+    dashpot_factor = 1.0

@@ -1,0 +1,148 @@
+"""What is known of a parameter beside its value: unit, bounds, symbol, natural coordinate.
+
+Declared once, where the parameter is:
+
+    friction: jax.Array | float | None = quantity(0.12278, "Coulomb coefficient between balls", "-", symbols=("f", "mu"))
+
+Case files, checks, fits and their help read it from there, by `declared` and `present`. A tree of dataclasses holds the
+parameters of a test; every name occurs once in it, so a name alone finds its place (`with_values`). A parameter or part
+that is None is not there: it is not compiled, stored or differentiated.
+"""
+
+import dataclasses
+import difflib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import jax
+import numpy as np
+
+Coordinate = Literal["log", "logit", "linear"]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A parameter's declaration.
+
+    meaning: a few words, without the unit. unit: in [L], [M], [T], [F], or "-".
+    least, above: lower bound, itself allowed or not. below: upper bound, itself not allowed.
+    symbols: short names by which a fit may call it.
+    coordinate: in which it is a number without bounds: "log" of a scale, "logit" of what lies between 0 and `below`.
+    per_ball: it may also be one number a ball.
+    """
+
+    meaning: str
+    unit: str
+    least: float = 0.0
+    above: float = -np.inf
+    below: float = np.inf
+    symbols: tuple[str, ...] = ()
+    coordinate: Coordinate = "log"
+    per_ball: bool = False
+
+    @property
+    def description(self) -> str:
+        return f"{self.meaning} [{self.unit}]"
+
+    @property
+    def allowed(self) -> str:
+        """The bounds in words."""
+        low = f"above {self.above:g}" if self.above >= self.least else f"{self.least:g} or more"
+        low = {"above 0": "positive", "0 or more": "zero or positive", "-inf or more": "a number"}.get(low, low)
+        return low if np.isinf(self.below) else f"{low} and below {self.below:g}"
+
+    def trouble(self, name: str, value, balls: int | None = None) -> str | None:
+        """The sentence for a concrete value that makes no sense, or None. balls: number of them, for one value each."""
+        numbers = np.asarray(value)
+        if numbers.dtype.kind not in "fiu":
+            return f"{name} = {value!r}: must be a number."
+        finite = np.isfinite(numbers) | (np.isposinf(numbers) & (self.coordinate == "linear"))
+        if not finite.all():
+            return f"{name} = {numbers[~finite].ravel()[0]}: must be a finite number."
+        for shown in (numbers.min(initial=np.inf), numbers.max(initial=-np.inf)):
+            if numbers.size and (shown < self.least or shown <= self.above or shown >= self.below):
+                return f"{name} = {shown:g}: must be {self.allowed}."
+        if numbers.shape != () and not (self.per_ball and numbers.shape == (balls,)):
+            each = f", or ({balls},), one per ball" if self.per_ball else ""
+            return f"{name} has shape {numbers.shape}: must be one number{each}."
+        return None
+
+
+def quantity(default, meaning: str, unit: str, **about) -> Any:
+    """A dataclass field with this default that is a parameter; see `Quantity` for the rest."""
+    return dataclasses.field(default=default, metadata={"quantity": Quantity(meaning, unit, **about)})
+
+
+def declared(part: type | object) -> dict[str, Quantity]:
+    """The parameters that a part itself declares, there or not, by name."""
+    return {f.name: f.metadata["quantity"] for f in dataclasses.fields(part) if "quantity" in f.metadata}  # type: ignore[arg-type]
+
+
+def parts_of(tree) -> list[Any]:
+    """The tree's parts, depth first: itself and every dataclass or member of a tuple below it that is there."""
+    below = tree if isinstance(tree, tuple) else []
+    if dataclasses.is_dataclass(tree):
+        below = [getattr(tree, f.name) for f in dataclasses.fields(tree) if "quantity" not in f.metadata]
+    found = [tree] if dataclasses.is_dataclass(tree) else []
+    for each in below:
+        if isinstance(each, tuple) or dataclasses.is_dataclass(each):
+            found += parts_of(each)
+    return found
+
+
+def present(tree) -> dict[str, tuple[Quantity, Any]]:
+    """Declaration and value of every parameter of a tree that is there, by name."""
+    return {
+        name: (about, getattr(part, name))
+        for part in parts_of(tree)
+        for name, about in declared(part).items()
+        if getattr(part, name) is not None
+    }
+
+
+def with_values(tree, values: dict[str, Any]):
+    """The tree with parameters or parts replaced by name, wherever in it they are.
+
+    Raises ValueError for a name that no part of it has, since that parameter would do nothing.
+    """
+    left = dict(values)
+    made = _replaced(tree, left)
+    if left:
+        raise ValueError(_not_there(next(iter(left)), next(iter(left.values())), tree))
+    return made
+
+
+def _replaced(tree, left: dict[str, Any]):
+    if isinstance(tree, tuple):
+        return tuple(_replaced(each, left) for each in tree)
+    if not dataclasses.is_dataclass(tree) or not left:
+        return tree
+    changes = {}
+    for f in dataclasses.fields(tree):
+        before = getattr(tree, f.name)
+        after = left.pop(f.name) if f.name in left else _replaced(before, left)
+        if after is not before:
+            changes[f.name] = after
+    return dataclasses.replace(tree, **changes) if changes else tree  # type: ignore[type-var]
+
+
+def _not_there(name: str, value, tree) -> str:
+    known = [each for part in parts_of(tree) for each in declared(part)]
+    near = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(known)}."
+    shown = "" if isinstance(value, jax.core.Tracer) or np.ndim(value) else f" = {value!r}"
+    kinds = ", ".join(type(part).__name__ for part in parts_of(tree))
+    return f"{name}{shown}: no part of these parameters ({kinds}) has it, so it would do nothing; {hint}"
+
+
+def check_values(tree, balls: int | None = None, where: Callable[[str], str] = str) -> None:
+    """Raise ValueError, naming field, value and what is allowed, for concrete parameters that make no sense.
+
+    balls: number of balls in the sector, for parameters that may be given per ball.
+    """
+    for name, (about, value) in present(tree).items():
+        if not isinstance(value, jax.core.Tracer):
+            trouble = about.trouble(where(name), value, balls)
+            if trouble:
+                raise ValueError(trouble)
