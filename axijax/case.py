@@ -13,8 +13,8 @@
     Case(parameters={"friction": 0.3}).build().run()
 
 Everything left out takes the default, which is the paper's (Cui & O'Sullivan 2005). Units are any consistent set.
-Names, defaults and descriptions of the fields are those of `Sector`, `Scene`, `Params` and `TriaxialTest`, so that they
-exist once.
+Names, defaults and descriptions of the fields are those of `Sector`, `TriaxialTest` and the parts of `Params`, so that
+they exist once.
 """
 
 import difflib
@@ -28,9 +28,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_serializer, model_validator
+from pydantic import BaseModel, Field, ValidationError, create_model, model_serializer, model_validator
 
-from axijax.dynamics import Params, Scene
+from axijax.case_parts import ParametersCase, SceneCase, Section, build_params, check_used
 from axijax.packing import Specimen, fcc_cylinder, fcc_octagon, lattice_cylinder
 from axijax.sector import Sector
 from axijax.triaxial import TriaxialTest
@@ -38,17 +38,6 @@ from axijax.triaxial import TriaxialTest
 # What pydantic is to allow, by field; what is not here is checked by the classes that the fields belong to.
 ALLOWED: dict[str, dict[str, float]] = {
     "order": {"ge": 1},
-    "friction": {"ge": 0},
-    "normal_stiffness": {"gt": 0},
-    "shear_stiffness": {"gt": 0},
-    "shear_modulus": {"gt": 0},
-    "poisson_ratio": {"ge": 0, "lt": 0.5},
-    "confining_stress": {"gt": 0},
-    "platen_speed": {"gt": 0},
-    "density": {"gt": 0},
-    "damping_ratio": {"ge": 0},
-    "local_damping": {"ge": 0, "lt": 1},
-    "background_damping": {"ge": 0},
     "axial_strain": {"gt": 0, "lt": 0.5},
     "time_step": {"gt": 0},
     "record_every": {"ge": 1},
@@ -81,10 +70,6 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
 LEFT_OUT = {"confining_friction": "left out: none, but for a random specimen that of its compaction"}
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
 def _section(name: str, source: type) -> Any:
     """A section with those fields of a dataclass that a file can hold: names, types, defaults, and the descriptions in
     its docstring."""
@@ -99,7 +84,7 @@ def _section(name: str, source: type) -> Any:
                 kind, default = kind | None, None
                 about["description"] += f"; {LEFT_OUT[each.name]}"
             made[each.name] = (kind, Field(default, **about))
-    return create_model(name, __base__=_Section, __doc__=inspect.getdoc(source), **made)
+    return create_model(name, __base__=Section, __doc__=inspect.getdoc(source), **made)
 
 
 def _plain(hint):
@@ -120,7 +105,7 @@ def descriptions(source: type) -> dict[str, str]:
     return told
 
 
-class SpecimenCase(_Section):
+class SpecimenCase(Section):
     """The specimen, a full cylinder from which the sector is cut."""
 
     kind: Literal["octagon", "fcc", "bcc", "hcp", "sc", "random"] = Field(
@@ -180,24 +165,18 @@ if TYPE_CHECKING:
 
 if TYPE_CHECKING:  # mypy cannot see the fields of classes made while running
 
-    class _Made(_Section):
+    class _Made(Section):
         def __getattr__(self, name: str) -> Any: ...
 
     class SectorCase(_Made): ...
 
-    class SceneCase(_Made): ...
-
-    class ParametersCase(_Made): ...
-
     class TestSection(_Made): ...
 else:
     SectorCase = _section("SectorCase", Sector)
-    SceneCase = _section("SceneCase", Scene)
-    ParametersCase = _section("ParametersCase", Params)
     TestSection = _section("TestSection", TriaxialTest)
 
 
-class Case(_Section):
+class Case(Section):
     """A whole case. `build` makes the test; raises ValueError where the fields do not fit one another."""
 
     specimen: SpecimenCase = SpecimenCase()
@@ -205,6 +184,11 @@ class Case(_Section):
     scene: SceneCase = SceneCase()
     parameters: ParametersCase = ParametersCase()
     test: TestSection = TestSection()
+
+    @model_validator(mode="after")
+    def _used(self) -> "Case":
+        check_used(self.scene, self.parameters)
+        return self
 
     def build(self, specimen: Specimen | None = None) -> TriaxialTest:
         """The test. specimen: one that was made before, by `made`, and the case that `made` returned with it."""
@@ -216,8 +200,8 @@ class Case(_Section):
         return TriaxialTest(
             specimen,
             Sector(**self.sector.model_dump()),
-            scene=Scene(**self.scene.model_dump()),
-            params=Params(**self.parameters.model_dump()),
+            scene=self.scene.build(),
+            params=build_params(self.scene, self.parameters),
             **options,
         )
 
@@ -228,9 +212,8 @@ class Case(_Section):
         """
         if self.specimen.kind != "random":
             return self, self.specimen.build(), None
-        material = self.parameters.model_dump(
-            include={"normal_stiffness", "shear_stiffness", "confining_stress", "density", "damping_ratio"}
-        )
+        wanted = {"normal_stiffness", "shear_stiffness", "confining_stress", "density", "damping_ratio"}
+        material = self.parameters.model_dump(include=wanted & set(self.scene.takes()))
         specimen, report = _packed(
             self.specimen.model_dump_json(), self.sector.model_dump_json(), tuple(material.items())
         )
@@ -306,6 +289,8 @@ def to_toml(case: Case) -> str:
         lines += ["", f"# {heading}", f"[{name}]"]
         for field, about in model.model_fields.items():
             if name == "specimen" and field not in ("kind", *KINDS[case.specimen.kind][0]):
+                continue
+            if name == "parameters" and field not in case.scene.takes():
                 continue
             default = about.default
             if name == "sector" and field == "order" and KINDS[case.specimen.kind][1]:
@@ -391,7 +376,7 @@ def _sentence(problem) -> str:
         hint = f"it belongs to {' or '.join(elsewhere)}" if elsewhere else near or f"known are {', '.join(known)}"
         return f"'{where}' is not a {'field' if section else 'section'}; {hint}"
     if problem["type"] == "value_error":
-        return f"{where}.{problem['ctx']['error']}"
+        return f"{where}{'.' if where else ''}{problem['ctx']['error']}"
     if problem["type"] == "model_type":
         return f"{where} = {given!r}: must be a section, [{where}], with its fields below"
     told = problem["msg"].replace("Input should be", "must be")

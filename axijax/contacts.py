@@ -203,49 +203,47 @@ class ContactTerm(Term):
 
     stiffens = False
 
-    def __init__(self, law: ContactLaw, frictional: bool):
-        self.law, self.frictional = law, frictional
+    def init(self, params, network) -> Memory:
+        frictional = params.material.frictional
+        return Memory(contact=zeros(network.first.shape, network.dtype) if frictional else None)
 
-    def init(self, network: Network) -> Memory:
-        return Memory(contact=zeros(network.first.shape, network.dtype) if self.frictional else None)
-
-    def forces(self, network, dt, state, memory) -> Push:
+    def forces(self, params, network, dt, state, memory) -> Push:
+        law = params.material.contact_law(network)
         surface_speed = None if state.spin is None else state.spin * network.radius
-        found = contact_forces(
-            self.law, network, dt, state.displacement, state.velocity, surface_speed, memory.contact
-        )  # fmt: skip
+        found = contact_forces(law, network, dt, state.displacement, state.velocity, surface_speed, memory.contact)
         force, moment = resultants(found, network)
         return Push(force, moment, Memory(contact=found.spring), found)
 
-    def spent(self, network, dt, state, memory, push, mean) -> Spent:
-        lost = self.pending(network, dt, state, memory, push)
+    def spent(self, params, network, dt, state, memory, push, mean) -> Spent:
+        lost = self.pending(params, network, dt, state, memory, push)
         if memory.contact is not None:
-            before, now = (law.shear_stiffness for law in self._before_and_now(network, dt, state))
+            before, now = (law.shear_stiffness for law in self._before_and_now(params, network, dt, state))
             cut, after = self._slip(network, dt, state, memory, push), push.detail.spring
             later = capped_spring.lost_at_last_end(before, now, memory.contact, after, cut)
             lost += (later * network.share).sum()
-        return Spent(damping=dt * self._dashpot_power(network, dt, state, push, mean), friction=lost)
+        return Spent(damping=dt * self._dashpot_power(params, network, dt, state, push, mean), friction=lost)
 
-    def pending(self, network, dt, state, memory, push):
+    def pending(self, params, network, dt, state, memory, push):
         if memory.contact is None:
             return jnp.zeros((), network.dtype)
-        before = self._before_and_now(network, dt, state)[0].shear_stiffness
+        before = self._before_and_now(params, network, dt, state)[0].shear_stiffness
         cut = self._slip(network, dt, state, memory, push)
         return (capped_spring.lost_at_first_end(before, memory.contact, cut) * network.share).sum()
 
-    def stored(self, network, dt, state, memory, push) -> Stored:
+    def stored(self, params, network, dt, state, memory, push) -> Stored:
         now, before = (jnp.maximum(geometry(network, at).overlap, 0.0) for at in _now_and_before(dt, state))
         shear = 0.0
         if memory.contact is not None:
-            stiffness = self._before_and_now(network, dt, state)[0].shear_stiffness
+            stiffness = self._before_and_now(params, network, dt, state)[0].shear_stiffness
             stretch = memory.contact.dot(push.detail.spring)
             shear = 0.5 * (stiffness * stretch * network.share).sum()
-        return Stored((self.law.energy(now * before) * network.share).sum(), shear)
+        return Stored((params.material.contact_law(network).energy(now * before) * network.share).sum(), shear)
 
-    def _before_and_now(self, network, dt, state) -> tuple[Law, Law]:
+    def _before_and_now(self, params, network, dt, state) -> tuple[Law, Law]:
         """The constants of the contacts at t - dt and t."""
         now, before = (geometry(network, at) for at in _now_and_before(dt, state))
-        return self.law.at(before, None, dt), self.law.at(now, None, dt)
+        law = params.material.contact_law(network)
+        return law.at(before, None, dt), law.at(now, None, dt)
 
     def _slip(self, network, dt, state, memory, push) -> Vector:
         """What has been cut off the springs since t - dt; (C,) vectors [L]."""
@@ -253,10 +251,10 @@ class ContactTerm(Term):
         rate = relative - normal * relative.dot(normal)
         return capped_spring.slip(memory.contact, rate, dt, push.detail.spring)
 
-    def _dashpot_power(self, network, dt, state, push, mean):
+    def _dashpot_power(self, params, network, dt, state, push, mean):
         """Power that the dashpots take at these velocities: what the forces at t hold beside the springs."""
         place = geometry(network, state.displacement)
-        law = self.law.at(place, None, dt)
+        law = params.material.contact_law(network).at(place, None, dt)
         if law.normal_viscosity is None:
             return jnp.zeros((), network.dtype)
         normal, relative = relative_motion(network, state.displacement, mean.velocity, mean.spin)

@@ -38,15 +38,9 @@ def spins(scene: Scene, params: Params) -> bool:
     return scene.rotation and params.material.frictional
 
 
-def terms_of(params: Params, network: Network, load: Load | None) -> tuple[Term, ...]:
+def terms_of(params: Params, load: Load | None = None) -> tuple[Term, ...]:
     """The terms of a scene in their order: contacts, walls, lateral load, and those of the parameters."""
-    material = params.material
-    return (
-        ContactTerm(material.contact_law(network), material.frictional),
-        WallTerm(material.wall_law(network), material.platen_friction),
-        LateralTerm(params.confining_stress, load),
-        *params.terms,
-    )
+    return (ContactTerm(), WallTerm(), LateralTerm(load), *params.terms)
 
 
 class Forces(NamedTuple):
@@ -89,7 +83,7 @@ def initial_state(scene: Scene, params: Params, network: Network, platens) -> St
         displacement=still,
         velocity=still,
         spin=still if spins(scene, params) else None,
-        memory=tuple(term.init(network) for term in terms_of(params, network, None)),
+        memory=tuple(term.init(params, network) for term in terms_of(params)),
         platens=jnp.asarray(platens, jnp.float64),
         platen_speeds=jnp.zeros(2, network.dtype),
         time=jnp.zeros((), jnp.float64),
@@ -103,9 +97,9 @@ def positions(network: Network, state: State) -> Vector:
 
 def all_forces(scene: Scene, params: Params, network: Network, load: Load, dt, state: State) -> Forces:
     """The sum of all terms at the positions of `state`."""
-    terms = terms_of(params, network, load)
+    terms = terms_of(params, load)
     pushes = tuple(
-        term.forces(network, dt, state, memory) for term, memory in zip(terms, state.memory, strict=True)
+        term.forces(params, network, dt, state, memory) for term, memory in zip(terms, state.memory, strict=True)
     )
     force, moment = total(pushes, "force"), total(pushes, "moment")
     if network.sector.images > 1:

@@ -96,8 +96,8 @@ def make_ledger_step(scene: Scene, drive: PlatenDrive):
             platen_speeds=0.5 * (state.platen_speeds + after.platen_speeds),
         )
         spent = [
-            term.spent(network, dt, state, memory, push, mean)
-            for term, memory, push in zip(terms_of(params, network, load), state.memory, forces.pushes, strict=True)
+            term.spent(params, network, dt, state, memory, push, mean)
+            for term, memory, push in zip(terms_of(params, load), state.memory, forces.pushes, strict=True)
         ]
         drag = dt * _drag_power(params, network, forces, state, mean)
         return after, Ledger(
@@ -134,9 +134,9 @@ def energy_balance(
     forces = all_forces(scene, params, network, load, dt, state)
     if state.spin is not None:
         spin = 0.5 * share_of_sector(network, 0.4 * mass * network.radius**2 * state.spin.dot(state.spin))
-    each = list(zip(terms_of(params, network, load), state.memory, forces.pushes, strict=True))
-    stored = [term.stored(network, dt, state, memory, push) for term, memory, push in each]
-    pending = sum(term.pending(network, dt, state, memory, push) for term, memory, push in each)
+    each = list(zip(terms_of(params, load), state.memory, forces.pushes, strict=True))
+    stored = [term.stored(params, network, dt, state, memory, push) for term, memory, push in each]
+    pending = sum(term.pending(params, network, dt, state, memory, push) for term, memory, push in each)
     return EnergyBalance(
         translation=0.5 * share_of_sector(network, mass * state.velocity.dot(state.velocity)),
         spin=spin,

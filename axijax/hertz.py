@@ -170,6 +170,15 @@ class Hertz(Material):
         contact_radius = jnp.cbrt(0.75 * force * radius / modulus)
         return 2 * modulus * contact_radius, shear_modulus * contact_radius
 
+    def stiffness_over(self, reference):
+        def under_load(material):
+            """What the stiffnesses under a given force are proportional to."""
+            modulus, shear_modulus = material.moduli
+            return modulus ** (2 / 3), shear_modulus * modulus ** (-1 / 3)
+
+        (normal, shear), (normal_0, shear_0) = under_load(self), under_load(reference)
+        return jnp.maximum(normal / normal_0, shear / shear_0)
+
     def stiffest(self, network, stress, touching_within):
         radius = np.asarray(network.radius, float)
         force = OVERLOAD * confined_force(network, stress, touching_within)

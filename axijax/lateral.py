@@ -1,9 +1,6 @@
 """The lateral load of a specimen as a term: the membrane's cells, or constant forces, times the confining stress."""
 
-import jax
-
 from axijax.membrane import Load, lateral_force
-from axijax.neighbors import Network
 from axijax.term import Push, Spent, Term, share_of_sector
 
 
@@ -12,12 +9,12 @@ class LateralTerm(Term):
 
     stiffens = False
 
-    def __init__(self, stress: jax.Array | float, load: Load | None):
-        self.stress, self.load = stress, load
+    def __init__(self, load: Load | None):
+        self.load = load
 
-    def forces(self, network: Network, dt, state, memory) -> Push:
+    def forces(self, params, network, dt, state, memory) -> Push:
         assert self.load is not None
-        return Push(lateral_force(self.stress, self.load, network.positions + state.displacement))
+        return Push(lateral_force(params.confining_stress, self.load, network.positions + state.displacement))
 
-    def spent(self, network, dt, state, memory, push, mean) -> Spent:
+    def spent(self, params, network, dt, state, memory, push, mean) -> Spent:
         return Spent(work=dt * share_of_sector(network, push.force.dot(mean.velocity)))

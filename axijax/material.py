@@ -83,5 +83,10 @@ class Material:
         overlaps [F/L]."""
         raise NotImplementedError
 
+    def stiffness_over(self, reference: "Material"):
+        """How many times stiffer than a reference of the same kind, by the larger of normal and tangential [-]: with so
+        many times its density the reference's time step serves."""
+        raise NotImplementedError
+
     # What the dashpots' coefficients 2 beta sqrt(k m*) are multiplied by, k being the tangent stiffness.
     dashpot_factor = 1.0

@@ -61,7 +61,7 @@ class Quantity:
         if not finite.all():
             return f"{name} = {numbers[~finite].ravel()[0]}: must be a finite number."
         for shown in (numbers.min(initial=np.inf), numbers.max(initial=-np.inf)):
-            if numbers.size and (shown < self.least or shown <= self.above or shown >= self.below):
+            if numbers.size and (shown < self.least or shown <= self.above or self.below <= shown < np.inf):
                 return f"{name} = {shown:g}: must be {self.allowed}."
         if numbers.shape != () and not (self.per_ball and numbers.shape == (balls,)):
             each = f", or ({balls},), one per ball" if self.per_ball else ""

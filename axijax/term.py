@@ -18,6 +18,8 @@ from axijax.neighbors import Network
 from axijax.vector import Vector
 
 if TYPE_CHECKING:
+    from axijax.params import Params
+    from axijax.sector import Sector
     from axijax.state import State
 
 
@@ -66,30 +68,36 @@ class Stored(NamedTuple):
 
 
 class Term:
-    """One physical effect. `network` holds balls and contact list, `state` the motion at t, `dt` is the time step."""
+    """One physical effect. `params` are those of the test, `network` holds balls and contact list, `state` the motion at t,
+    `dt` is the time step."""
 
     # Whether it can make the motion stiffer or more viscous than contacts and walls do; if so the critical time step is
     # found from the linearised forces.
     stiffens = True
 
-    def init(self, network: Network) -> Memory:
+    def check(self, sector: "Sector") -> None:
+        """Raise ValueError where it makes no sense in a sector."""
+
+    def init(self, params: "Params", network: Network) -> Memory:
         """The memory before the first step."""
         return Memory()
 
-    def forces(self, network: Network, dt, state: "State", memory: Memory) -> Push:
+    def forces(self, params: "Params", network: Network, dt, state: "State", memory: Memory) -> Push:
         """Forces at t, from positions at t and velocities at t - dt/2."""
         raise NotImplementedError
 
-    def spent(self, network: Network, dt, state: "State", memory: Memory, push: Push, mean: "State") -> Spent:
+    def spent(
+        self, params: "Params", network: Network, dt, state: "State", memory: Memory, push: Push, mean: "State"
+    ) -> Spent:
         """Energy that passes through it during the step about t. memory: before the step; push: its `forces`; mean: a
         state whose velocities, spins and platen speeds are the means over the step."""
         return Spent()
 
-    def stored(self, network: Network, dt, state: "State", memory: Memory, push: Push) -> Stored:
+    def stored(self, params: "Params", network: Network, dt, state: "State", memory: Memory, push: Push) -> Stored:
         """Elastic energy at t - dt/2; arguments as for `spent`."""
         return Stored()
 
-    def pending(self, network: Network, dt, state: "State", memory: Memory, push: Push) -> jax.Array | float:
+    def pending(self, params: "Params", network: Network, dt, state: "State", memory: Memory, push: Push):
         """What the slip of the step before t has lost and `spent` has not booked yet, since only the forces at t tell
         [F L]."""
         return 0.0

@@ -128,27 +128,25 @@ class WallTerm(Term):
 
     stiffens = False
 
-    def __init__(self, law: WallLaw, platen_friction=None):
-        self.law, self.platen_friction = law, platen_friction
-
-    def planes(self, network: Network, state, displacement: Vector | None = None, platens=None) -> tuple[Plane, ...]:
+    def planes(self, params, network: Network, state, displacement=None, platens=None) -> tuple[Plane, ...]:
         """The planes at a state, or with balls and platens somewhere else."""
         displacement = state.displacement if displacement is None else displacement
         platens = state.platens if platens is None else platens
-        return planes(network, displacement, platens, state.platen_speeds, self.platen_friction)
+        return planes(network, displacement, platens, state.platen_speeds, params.material.platen_friction)
 
-    def init(self, network: Network) -> Memory:
-        number = 2 + 2 * (network.sector.boundary == "rigid")
+    def init(self, params, network) -> Memory:
+        if params.material.platen_friction is None:
+            return Memory()
         still = zeros(network.radius.shape, network.dtype)
-        rough = self.platen_friction is not None
-        return Memory(ball=tuple(still if rough and at < 2 else None for at in range(number)) if rough else None)
+        return Memory(ball=(still, still, *_smooth_planes(network)))
 
-    def forces(self, network, dt, state, memory) -> Push:
+    def forces(self, params, network, dt, state, memory) -> Push:
+        law = params.material.wall_law(network)
         found: list[tuple[Any, Any, Any]] = []
         force = moment = None
-        for plane, spring in zip(self.planes(network, state), self._springs(network, memory), strict=True):
+        for plane, spring in zip(self.planes(params, network, state), self._springs(network, memory), strict=True):
             closing = plane.closing_speed(state.velocity)
-            wall = self.law.at(plane.gap, closing, dt)
+            wall = law.at(plane.gap, closing, dt)
             pressed = wall_force(plane.gap, closing, wall.stiffness, wall.viscosity)
             push, held, after = plane.times(pressed), None, None
             if spring is not None:
@@ -164,50 +162,52 @@ class WallTerm(Term):
             force = push if force is None else force + push
             found.append((pressed, held, after))
         detail = WallForces(*zip(*found, strict=True))
-        return Push(force, moment, Memory(ball=None if self.platen_friction is None else detail.springs), detail)
+        return Push(force, moment, Memory(ball=None if params.material.platen_friction is None else detail.springs), detail)
 
-    def spent(self, network, dt, state, memory, push, mean) -> Spent:
-        lost = jnp.zeros_like(network.radius)
+    def spent(self, params, network, dt, state, memory, push, mean) -> Spent:
+        law, lost = params.material.wall_law(network), jnp.zeros_like(network.radius)
         speeds = mean.platen_speeds
         bottom, top = (share_of_sector(network, force) for force in push.detail.normal[:2])
-        now, later = self.planes(network, state), self.planes(network, mean)
+        now, later = self.planes(params, network, state), self.planes(params, network, mean)
         for plane, moving, pressed in zip(now, later, push.detail.normal, strict=True):
-            wall = self.law.at(plane.gap)
+            wall = law.at(plane.gap)
             spring = wall_force(plane.gap, plane.closing_speed(state.velocity), wall.stiffness, None)
             lost += (pressed - spring) * moving.closing_speed(mean.velocity)
-        friction, viscous = self._friction(network, dt, state, memory, push, mean)
+        friction, viscous = self._friction(params, network, dt, state, memory, push, mean)
         return Spent(
             work=dt * (bottom * speeds[0] - top * speeds[1]),
             damping=dt * share_of_sector(network, lost + viscous),
             friction=friction,
         )
 
-    def stored(self, network, dt, state, memory, push) -> Stored:
+    def stored(self, params, network, dt, state, memory, push) -> Stored:
+        law = params.material.wall_law(network)
         normal = shear = jnp.zeros_like(network.radius)
-        before = self._before(network, dt, state)
-        for plane, earlier in zip(self.planes(network, state), before, strict=True):
-            normal += self.law.energy(jnp.maximum(-plane.gap, 0.0) * jnp.maximum(-earlier.gap, 0.0))
+        before = self._before(params, network, dt, state)
+        for plane, earlier in zip(self.planes(params, network, state), before, strict=True):
+            normal += law.energy(jnp.maximum(-plane.gap, 0.0) * jnp.maximum(-earlier.gap, 0.0))
         for earlier, spring, after in zip(before, self._springs(network, memory), push.detail.springs, strict=True):
             if spring is not None:
-                shear += 0.5 * self.law.at(earlier.gap).shear_stiffness * spring.dot(after)
+                shear += 0.5 * law.at(earlier.gap).shear_stiffness * spring.dot(after)
         return Stored(share_of_sector(network, normal), share_of_sector(network, shear))
 
-    def pending(self, network, dt, state, memory, push):
-        return self._friction(network, dt, state, memory, push, None)[0]
+    def pending(self, params, network, dt, state, memory, push):
+        return self._friction(params, network, dt, state, memory, push, None)[0]
 
-    def _friction(self, network, dt, state, memory, push, mean):
+    def _friction(self, params, network, dt, state, memory, push, mean):
         """What the springs lost in slip, at one end of the step or, with a mean motion, at both; and the power (N,) of
         their dashpots at that mean motion."""
+        law = params.material.wall_law(network)
         lost = viscous = jnp.zeros_like(network.radius)
         places = zip(
-            self.planes(network, state), self._before(network, dt, state), self._springs(network, memory),
+            self.planes(params, network, state), self._before(params, network, dt, state), self._springs(network, memory),
             push.detail.held, push.detail.springs, strict=True,
         )  # fmt: skip
         for plane, earlier, spring, held, after in places:
             if spring is None:
                 continue
             closing = plane.closing_speed(state.velocity)
-            wall, before = self.law.at(plane.gap, closing, dt), self.law.at(earlier.gap)
+            wall, before = law.at(plane.gap, closing, dt), law.at(earlier.gap)
             rate = plane.slip_rate(state.velocity, state.spin, network.radius)
             cut = capped_spring.slip(spring, rate, dt, after)
             lost += capped_spring.lost_at_first_end(before.shear_stiffness, spring, cut)
@@ -218,11 +218,16 @@ class WallTerm(Term):
                 viscous += (held - elastic).dot(plane.slip_rate(mean.velocity, mean.spin, network.radius))
         return share_of_sector(network, lost), viscous
 
-    def _before(self, network: Network, dt, state) -> tuple[Plane, ...]:
+    def _before(self, params, network: Network, dt, state) -> tuple[Plane, ...]:
         """The planes at t - dt."""
         return self.planes(
-            network, state, state.displacement - state.velocity * dt, state.platens - state.platen_speeds * dt
+            params, network, state, state.displacement - state.velocity * dt, state.platens - state.platen_speeds * dt
         )
 
     def _springs(self, network: Network, memory: Memory):
-        return memory.ball or (None,) * (2 + 2 * (network.sector.boundary == "rigid"))
+        return memory.ball or (None, None, *_smooth_planes(network))
+
+
+def _smooth_planes(network: Network) -> tuple[None, ...]:
+    """A place for each sector plane, which has no springs."""
+    return (None, None) if network.sector.boundary == "rigid" else ()
