@@ -1,11 +1,10 @@
-"""Gravity as a term: a constant acceleration of every ball. Given to a test by `Params(terms=(Gravity(...),))`."""
+"""Gravity as a term: a constant acceleration of every ball, `Params(terms=(Gravity(),))`."""
 
 from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 
-from axijax.neighbors import Network
 from axijax.quantity import quantity
 from axijax.term import Push, Spent, Term, share_of_sector
 from axijax.vector import Vector
@@ -14,10 +13,29 @@ from axijax.vector import Vector
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Gravity(Term):
-    """Weight along -z, and for tilted scenes along x and y; those need the full cylinder (n = 1), since a sector's images
-    would fall each in its own direction.
+    """Weight of the balls; along -z by default.
 
-    bulk_density: of the balls, that of the material [M/L^3].
+    Components across the axis make sense in the full cylinder only, since the images of a ball share its accelerations,
+    each turned. Both platens of a triaxial test are carried by s3 in confinement, so that a heavy specimen finds no
+    equilibrium between them; gravity is for scenes with platens that stand, and for weights that are small beside s3.
     """
 
-    gravity: jax.Array | float = quantity(9.81, "acceleration of gravity, along -z", "L/T^2", least=-jnp.inf)
+    gravity_z: jax.Array | float = quantity(-9.81, "acceleration along z", "L/T^2", least=-jnp.inf, coordinate="linear")
+    gravity_x: jax.Array | float = quantity(0.0, "acceleration along x", "L/T^2", least=-jnp.inf, coordinate="linear")
+    gravity_y: jax.Array | float = quantity(0.0, "acceleration along y", "L/T^2", least=-jnp.inf, coordinate="linear")
+
+    stiffens = False
+
+    def check(self, sector):
+        if sector.order > 1 and (self.gravity_x != 0 or self.gravity_y != 0):
+            raise ValueError(
+                f"gravity across the axis in a sector of order {sector.order}: its images would fall each in its own "
+                "direction; take order 1, the full cylinder, or gravity_z alone."
+            )
+
+    def forces(self, params, network, dt, state, memory) -> Push:
+        mass = params.material.mass_per_cube * network.radius**3
+        return Push(Vector(mass * self.gravity_x, mass * self.gravity_y, mass * self.gravity_z))
+
+    def spent(self, params, network, dt, state, memory, push, mean) -> Spent:
+        return Spent(work=dt * share_of_sector(network, push.force.dot(mean.velocity)))
