@@ -28,11 +28,12 @@ import numpy as np
 from axijax.batch_files import Stored, open_batch, read_member, slug, write_failure, write_member, write_summary
 from axijax.curve import RECORDS, Curve, warn_of_chatter
 from axijax.params import Params, check_params
+from axijax.progress import Progress
 from axijax.quantity import present
 from axijax.results import writable_folder
-from axijax.shear import simulate
+from axijax.stages import simulate
 from axijax.time_step import check_step, critical_time_step
-from axijax.triaxial import Progress, TriaxialTest
+from axijax.triaxial import TriaxialTest
 
 __all__ = [
     "BatchResult", "Member", "Outcome", "open_batch", "parallel", "parameter_grid", "run_batch", "simulate_many",
@@ -320,7 +321,7 @@ def _together(task: Sequence[Member], tell, done) -> None:
         same = all(member.test is first for member in task)
         # A test that all share is not stored once for each of them.
         numbers = inputs[0][0] if same else _stacked([numbers for numbers, _ in inputs])
-        curves = _many(first.scene, first.protocol, same, numbers, _stacked([params for _, params in inputs]))
+        curves = _many(same, numbers, _stacked([params for _, params in inputs]))
         curves = jax.tree.map(np.asarray, curves)
     except (ValueError, RuntimeError):  # such as memory: each by itself says what is wrong, or runs
         return _each(task, tell, done)
@@ -338,13 +339,13 @@ def _together(task: Sequence[Member], tell, done) -> None:
         done(Outcome(member, curve, None, seconds))
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
-def _many(scene, protocol, same: bool, numbers, params):
-    return jax.vmap(partial(simulate, scene, protocol), in_axes=(None if same else 0, 0))(numbers, params)
+@partial(jax.jit, static_argnums=0)
+def _many(same: bool, prepared, params):
+    return jax.vmap(simulate, in_axes=(None if same else 0, 0))(prepared, params)
 
 
 def _prepared(test: TriaxialTest):
-    return jax.tree.map(jnp.asarray, test.prepared(test.network, test.membrane))
+    return jax.tree.map(jnp.asarray, test.prepared)
 
 
 def _stacked(trees):
@@ -365,7 +366,7 @@ def _acceptable() -> Callable[[Member], bool]:
                 known = (id(test), *(value for name, (_, value) in present(params).items() if name != "friction"))
                 if known not in limits:
                     limits[known] = critical_time_step(test.scene, params, test.network)
-                check_step(test.time_step, limits[known])
+                check_step(test.prepared.time_step, limits[known])
         except ValueError:
             return False
         return True
@@ -374,12 +375,12 @@ def _acceptable() -> Callable[[Member], bool]:
 
 
 def _chunks(members: Sequence[Member]) -> list[list[Member]]:
-    """Members that one compiled program can run together: same scene, protocol and shapes."""
+    """Members that one compiled program can run together: same structure and shapes."""
     groups: dict[Any, list[Member]] = {}
     for member in members:
         leaves, structure = jax.tree.flatten((_prepared(member.test), member.parameters))
         shapes = tuple((np.shape(leaf), str(jnp.result_type(leaf))) for leaf in leaves)
-        groups.setdefault((member.test.scene, member.test.protocol, structure, shapes), []).append(member)
+        groups.setdefault((structure, shapes), []).append(member)
     return [group[i : i + CHUNK] for group in groups.values() for i in range(0, len(group), CHUNK)]
 
 

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from axijax.confinement import Confinement
-from axijax.curve import RECORDS, Curve
+from axijax.curve import RECORDS, Confinement, Curve
 from axijax.params import Params
 from axijax.results import curves_dataset, save_dataset, save_table, write_whole
 from axijax.triaxial import TriaxialTest

@@ -3,9 +3,9 @@
     trial force = stiffness * (spring + rate dt) + viscosity * rate
     force = trial * min(1, limit / |trial|),  spring = (spring + rate dt) * the same factor
 
-The total is cut and the spring is scaled with it, so that a capped spring holds no more than its share (Cundall & Strack
-1979; Luding 2008, section 2.4: the return map). Friction between balls, friction on walls, and rolling and torsional
-resistance are this one with their own rate, stiffness and limit.
+The total is cut and the spring is scaled with it, so that a capped spring holds no more than its share (Cundall &
+Strack 1979; Luding 2008, section 2.4: the return map). Friction between balls, friction on walls, and rolling and
+torsional resistance are this one with their own rate, stiffness and limit.
 
 The derivative is written out by hand: it shares the intermediate results of the value. `frictional_law` of
 `axijax.contacts` calls `value` and `tangent` from within its own derivative, all others call `capped`.
@@ -50,7 +50,9 @@ def value(spring: Vector, rate: Vector, stiffness, viscosity, limit, dt) -> tupl
     return trial * scale, stretched * scale, shared
 
 
-def tangent(shared: Shared, stiffness, limit_d, spring_d: Vector, rate_d: Vector, stiffness_d, viscosity_d, rate, viscosity, dt):
+def tangent(
+    shared: Shared, stiffness, limit_d, spring_d: Vector, rate_d: Vector, stiffness_d, viscosity_d, rate, viscosity, dt
+):
     """Tangents of force and spring; x_d is the tangent of x, None or a symbolic zero where it has none."""
     stretched, trial, sliding, per_size, scale = shared
     stretched_d = spring_d + rate_d * dt

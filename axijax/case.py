@@ -22,33 +22,18 @@ import inspect
 import re
 import textwrap
 import tomllib
-import types
-from dataclasses import fields
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, Field, ValidationError, create_model, model_serializer, model_validator
 
-from axijax.case_parts import ParametersCase, SceneCase, Section, build_params, check_used
+from axijax.case_parts import ParametersCase, SceneCase, Section, bounds, build_params, check_used
 from axijax.packing import Specimen, fcc_cylinder, fcc_octagon, lattice_cylinder
+from axijax.params import Params
+from axijax.quantity import settings
 from axijax.sector import Sector
 from axijax.triaxial import TriaxialTest
-
-# What pydantic is to allow, by field; what is not here is checked by the classes that the fields belong to.
-ALLOWED: dict[str, dict[str, float]] = {
-    "order": {"ge": 1},
-    "axial_strain": {"gt": 0, "lt": 0.5},
-    "time_step": {"gt": 0},
-    "record_every": {"ge": 1},
-    "confine_steps": {"ge": 1},
-    "tolerance": {"gt": 0},
-    "confining_friction": {"ge": 0},
-    "rebuild_every": {"ge": 0},
-}
-
-# Fields of a test that are for studies in Python only.
-NOT_IN_FILES = ("allow_unsafe_step",)
 
 # The fields that a kind of specimen takes, and the orders of sector that fit it.
 KINDS: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
@@ -71,38 +56,16 @@ LEFT_OUT = {"confining_friction": "left out: none, but for a random specimen tha
 
 
 def _section(name: str, source: type) -> Any:
-    """A section with those fields of a dataclass that a file can hold: names, types, defaults, and the descriptions in
-    its docstring."""
-    hints, told = get_type_hints(source), descriptions(source)
+    """A section with the settings that a dataclass declares: names, types, defaults, meanings and bounds."""
+    hints = get_type_hints(source)
     made: dict[str, Any] = {}
-    for each in fields(source):
-        kind = _plain(hints[each.name])
-        if each.init and kind is not None and each.name not in NOT_IN_FILES:
-            about: Any = {"description": told.get(each.name), **ALLOWED.get(each.name, {})}
-            default = each.default
-            if each.name in LEFT_OUT:
-                kind, default = kind | None, None
-                about["description"] += f"; {LEFT_OUT[each.name]}"
-            made[each.name] = (kind, Field(default, **about))
+    for each, about in settings(source).items():
+        kind, default = hints[each], source.__dataclass_fields__[each].default
+        told = about.description
+        if each in LEFT_OUT:
+            kind, default, told = kind | None, None, f"{told}; {LEFT_OUT[each]}"
+        made[each] = (kind, Field(default, description=told, **bounds(about)))
     return create_model(name, __base__=Section, __doc__=inspect.getdoc(source), **made)
-
-
-def _plain(hint):
-    """What a file holds of a type: plain numbers where the program also takes arrays; None where there is no way."""
-    if get_origin(hint) in (Union, types.UnionType):
-        parts = [part for part in get_args(hint) if part is types.NoneType or _plain(part) is not None]
-        return Union[tuple(parts)] if any(part is not types.NoneType for part in parts) else None  # noqa: UP007
-    return hint if hint in (float, int, bool, str) or get_origin(hint) is Literal else None
-
-
-def descriptions(source: type) -> dict[str, str]:
-    """What a docstring says of each field: lines 'name: text' or 'name, name: text', going on where indented."""
-    told = {}
-    for names, text in re.findall(
-        r"^([a-z_]+(?:, [a-z_]+)*): (.+?)(?=\n\S|\n\n|\Z)", inspect.getdoc(source) or "", re.M | re.S
-    ):
-        told.update({name: " ".join(text.split()).rstrip(".") for name in names.split(", ")})
-    return told
 
 
 class SpecimenCase(Section):

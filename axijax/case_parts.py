@@ -1,8 +1,8 @@
 """The sections [scene] and [parameters] of a case file: which parts of `Params` there are, and their numbers.
 
-Names, bounds, units and defaults are those that the parts themselves declare (`axijax.quantity`). A parameter that would
-do nothing in its scene is refused; where it only repeats its default, as files of older versions do, it is left out with
-a warning.
+Names, bounds, units and defaults are those that the parts themselves declare (`axijax.quantity`). A parameter that
+would do nothing in its scene is refused; where it only repeats its default, as files of older versions do, it is left
+out with a warning.
 """
 
 import warnings
@@ -59,18 +59,20 @@ class SceneCase(Section):
         return Scene(rotation=self.rotation)
 
 
+def bounds(about: Quantity) -> dict[str, float]:
+    """What pydantic is to allow."""
+    rules = {"ge": about.least if about.least > about.above else -np.inf, "gt": about.above, "lt": about.below}
+    return {rule: bound for rule, bound in rules.items() if np.isfinite(bound)}
+
+
 def _parameters() -> dict[str, Any]:
     made: dict[str, Any] = {}
     for part in (Linear, Hertz, *(kind for kind in DAMPINGS.values() if kind is not None), Params):
         for name, about in declared(part).items():
             default = part.__dataclass_fields__[name].default
-            bounds = {"ge": about.least, "gt": about.above, "lt": about.below}
-            rules = {rule: bound for rule, bound in bounds.items() if np.isfinite(bound)}
-            if "gt" in rules and rules.get("ge", -np.inf) <= rules["gt"]:
-                rules.pop("ge", None)
             kind = float if default is not None else float | None
-            told = Field(default, description=about.description, allow_inf_nan=about.coordinate == "linear", **rules)
-            made[name] = (kind, told)
+            infinite = about.coordinate == "linear"
+            made[name] = kind, Field(default, description=about.description, allow_inf_nan=infinite, **bounds(about))
     return made
 
 
@@ -89,7 +91,8 @@ def build_params(scene: SceneCase, parameters: ParametersCase) -> Params:
     values = {name: getattr(parameters, name) for name in scene.takes()}
     if not scene.friction:
         values["friction"] = None
-    return Params(material, **{name: value for name, value in values.items() if value is not None or name == "friction"})
+    given = {name: value for name, value in values.items() if value is not None or name == "friction"}
+    return Params(material, **given)
 
 
 def check_used(scene: SceneCase, parameters: ParametersCase) -> None:
@@ -99,7 +102,8 @@ def check_used(scene: SceneCase, parameters: ParametersCase) -> None:
         value, default = getattr(parameters, name), ParametersCase.model_fields[name].default
         if value != default:
             raise ValueError(
-                f"parameters.{name} = {value:g} would do nothing with {_scene_of(scene)}: leave it out, or change [scene]"
+                f"parameters.{name} = {value:g} would do nothing with {_scene_of(scene)}: leave it out, or change "
+                "[scene]"
             )
     if idle:
         them, do, are = ("them", "do", "are") if len(idle) > 1 else ("it", "does", "is")

@@ -19,12 +19,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from axijax.confinement import Confinement
-from axijax.curve import no_records
+from axijax.curve import Confinement, no_records
 from axijax.dynamics import initial_state
 from axijax.membrane import Load
+from axijax.progress import Progress
 from axijax.results import write_whole
-from axijax.triaxial import Progress, TriaxialTest
+from axijax.triaxial import TriaxialTest
 
 FORMAT = "axijax shear in progress"
 VERSION = 2
@@ -129,8 +129,8 @@ def _description(test: TriaxialTest) -> dict[str, object]:
         "specimen": digest.hexdigest(),
         "sector": repr(test.sector),
         "scene": repr(test.scene),
-        "time_step": test.time_step,
-        "ramp_time": test.ramp_time,
+        "time_step": test.prepared.time_step,
+        "ramp_time": test.prepared.shear.ramp_time,
         "record_every": test.record_every,
         "refresh": test.refresh,
         "lateral_load": test.lateral_load is not None,

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from axijax.confinement import STALE
 from axijax.curve import CHATTER
+from axijax.engine import STALE
 from axijax.observe import in_core
 from axijax.results import Result
 from axijax.snapshot import Snapshot, snapshot
@@ -210,15 +210,15 @@ def _energy_check(test: TriaxialTest) -> Check:
 
 def _ledger_error(test: TriaxialTest) -> float:
     """Largest share of the platens' work that is unaccounted for at the end of a shear."""
-    from axijax.confinement import current_load
     from axijax.energy import energy_balance, make_ledger_step, open_ledger
-    from axijax.shear import fixed_load, platen_ramp, start_shear
+    from axijax.engine import current_load, fixed_load
+    from axijax.stages import start_shear
 
     confined, _ = test.confine()
-    network, membrane, params, dt = test.network, test.membrane, test.params, test.time_step
-    start = start_shear(test.scene, params, network, confined)
-    fixed = fixed_load(test.protocol, test.prepared(network, membrane), start)
-    step = make_ledger_step(test.scene, platen_ramp(test.ramp_time))
+    network, membrane, params, dt = test.network, test.membrane, test.params, test.prepared.time_step
+    start = start_shear(test.scene, params, test.prepared.lists, confined)
+    fixed = fixed_load(test.refresh, test.prepared.lateral_load, test.prepared.lists, start)
+    step = make_ledger_step(test.scene, test.prepared.shear.platen_speeds)
     seen = partial(energy_balance, test.scene)
 
     @jax.jit
@@ -230,7 +230,7 @@ def _ledger_error(test: TriaxialTest) -> float:
             load = current_load(membrane, network, both[0], fixed)
             return jax.lax.fori_loop(0, test.record_every, lambda _, b: step(params, network, load, dt, b), both), None
 
-        both, _ = jax.lax.scan(block, both, None, length=test.protocol.blocks)
+        both, _ = jax.lax.scan(block, both, None, length=test.prepared.numerics.records)
         last = seen(params, network, current_load(membrane, network, both[0], fixed), dt, *both)
         return (last.unaccounted - first.unaccounted) / last.platen_work
 

@@ -117,8 +117,9 @@ class _Live:
     def tell(self, test: "TriaxialTest", now: "Progress | None") -> None:
         """Take note of where a run stands, and show it."""
         if now is None:
-            return self.show("preparing", f"{len(test.cut)} balls, {test.protocol.blocks * test.record_every} steps")
-        self.marks.append((time.perf_counter(), now.strain, now.steps(test.record_every)))
+            steps = test.prepared.numerics.records * test.record_every
+            return self.show("preparing", f"{len(test.cut)} balls, {steps} steps")
+        self.marks.append((time.perf_counter(), now.strain, now.taken))
         if len(self.marks) == 1:
             balance, goal = now.confinement, f"shearing to {100 * test.axial_strain:g} %"
             if now.strain > 0:
@@ -230,7 +231,7 @@ class _JsonLines(_Live):
             axial_strain=now.strain,
             stress_ratio=now.stress_ratio,
             unbalanced_force=now.unbalanced_force,
-            steps=now.steps(test.record_every),
+            steps=now.taken,
             ball_steps_per_second=rate and round(rate),
             seconds_left=left and round(left, 1),
         )

@@ -95,7 +95,9 @@ def geometry(network: Network, displacement: Vector) -> Geometry:
     return Geometry(branch, 1 / (network.distance + network.overlap), network.overlap - longer)
 
 
-def contact_forces(law: ContactLaw, network: Network, dt, displacement, velocity, surface_speed, spring) -> ContactForces:
+def contact_forces(
+    law: ContactLaw, network: Network, dt, displacement, velocity, surface_speed, spring
+) -> ContactForces:
     """Forces of all contacts and their springs one step later.
 
     displacement, velocity: (N,) [L], [L/T]. surface_speed: (N,) radius times spin [L/T]; None where nothing spins.

@@ -2,13 +2,12 @@
 
 import warnings
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from axijax.confinement import Confinement
 from axijax.observe import Observation
 from axijax.status import NOT_FINITE, REMEDIES, UNSTABLE
 
@@ -21,6 +20,19 @@ class SimulationError(RuntimeError):
     def __init__(self, message: str, curve: "Curve | None"):
         super().__init__(message)
         self.curve = curve
+
+
+class Confinement(NamedTuple):
+    """How confinement ended: mean unbalanced force over mean contact force, |s1 - s3|/s3, steps taken."""
+
+    unbalanced_force: jax.Array
+    stress_error: jax.Array
+    steps: jax.Array
+
+    @property
+    def worst(self) -> jax.Array:
+        """The larger of the two errors [-]."""
+        return jnp.maximum(self.unbalanced_force, self.stress_error)
 
 
 @jax.tree_util.register_dataclass

@@ -7,7 +7,7 @@ positions at t and the velocities at t - dt/2 give the velocities at t + dt/2, t
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -109,9 +109,8 @@ def all_forces(scene: Scene, params: Params, network: Network, load: Load, dt, s
     return Forces(force, moment if spins(scene, params) else None, pushes)
 
 
-# A platen drive gives the platens' velocities at t + dt/2 from the state, the step, the forces (2,) that the balls put
-# on the platens and the area of the section, at t.
-PlatenDrive = Callable[[Params, State, jax.Array, jax.Array, jax.Array], jax.Array]
+# A platen drive gives the platens' velocities at t + dt/2, see `axijax.paths.Path.platen_speeds`.
+PlatenDrive = Callable[[Params, Network, Any, State, jax.Array, jax.Array], jax.Array]
 
 
 def make_step(scene: Scene, drive: PlatenDrive):
@@ -119,7 +118,7 @@ def make_step(scene: Scene, drive: PlatenDrive):
 
     def step(params: Params, network: Network, load: Load, dt, state: State) -> State:
         forces = all_forces(scene, params, network, load, dt, state)
-        platen_speeds = drive(params, state, dt, forces.platen_forces(network), load.section)
+        platen_speeds = drive(params, network, dt, state, forces.platen_forces(network), load.section)
         velocity, spin = next_motion(params, network, dt, state, forces)
         return State(
             displacement=state.displacement + velocity * dt,

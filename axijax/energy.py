@@ -1,7 +1,8 @@
 """The energy ledger: where the work done on a specimen went, kept beside the motion only where it is asked for.
 
-Work of the platens, of the lateral load and of further terms = gain of kinetic and elastic energy + friction + damping. Every term has a
-definition of its own and none is found by difference, so that what is missing measures the integration.
+Work of the platens, of the lateral load and of further terms = gain of kinetic and elastic energy + friction + damping.
+Every term has a definition of its own and none is found by difference, so that what is missing measures the
+integration.
 
 The step is a leapfrog: over [t - dt/2, t + dt/2] the kinetic energy grows by exactly the forces at t times the mean
 of the velocities before and after, times dt. All work is summed up with that mean, and every energy is that of a

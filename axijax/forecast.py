@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax.case import Case
-from axijax.confinement import Confinement
-from axijax.curve import SimulationError, no_records
+from axijax.curve import Confinement, SimulationError, no_records
 from axijax.damping import BackgroundDamping, LocalDamping
 from axijax.dynamics import initial_state
 from axijax.membrane import membrane_radius
+from axijax.progress import Progress, go_on
 from axijax.theory import inertial_number
 from axijax.time_step import SAFE_STEP, critical_time_step
-from axijax.triaxial import Progress, TriaxialTest
+from axijax.triaxial import TriaxialTest
 from axijax.vector import from_rows
 
 # Steps that lattices need to be confined (1450 to 3200 of them, whatever their stiffness and stress).
@@ -63,7 +63,7 @@ def forecast(case: Case, measure: bool = True) -> Forecast:
     params, radius = test.params, float(test.cut.radius.mean())
     stiffness = float(params.material.confined_stiffness(test.network, params.confining_stress)[0])
     rate = 2 * float(params.platen_speed) / test.cut.height
-    steps = test.protocol.blocks * test.record_every
+    steps = test.prepared.numerics.records * test.record_every
     compiling, per_step = _timed(test) if measure else (None, None)
     found = Forecast(
         balls=len(test.cut),
@@ -71,12 +71,12 @@ def forecast(case: Case, measure: bool = True) -> Forecast:
         height=test.cut.height,
         membrane_radius=float(membrane_radius(test.membrane, from_rows(test.cut.positions))),
         critical_time_step=critical_time_step(test.scene, params, test.network),
-        time_step=float(test.time_step or 0),
+        time_step=float(test.prepared.time_step),
         inertial_number=float(inertial_number(rate, radius, params.density, params.confining_stress)),
         softness=float(params.confining_stress * radius / stiffness),
-        ramp_strain=rate * test.ramp_time / 2,
+        ramp_strain=rate * test.prepared.shear.ramp_time / 2,
         shear_steps=steps,
-        records=test.protocol.blocks,
+        records=test.prepared.numerics.records,
         confinement_steps=CONFINEMENT_STEPS,
         ball_steps_per_second=len(test.cut) / per_step if per_step else None,
         seconds=2 * compiling + (steps + CONFINEMENT_STEPS) * per_step if compiling is not None and per_step else None,
@@ -100,7 +100,7 @@ def _timed(test: TriaxialTest) -> tuple[float | None, float | None]:
     for _ in range(2):
         started = time.perf_counter()
         try:
-            steps = test._go_on(loose).steps(test.record_every)
+            steps = go_on(test, loose).taken
         except SimulationError:
             return None, None
         seconds.append(time.perf_counter() - started)

@@ -15,7 +15,7 @@ from axijax.walls import Wall
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Linear(Material):
-    """Linear springs (Cundall & Strack 1979), those of Cui & O'Sullivan (2005) by default; plates are as stiff as balls.
+    """Linear springs (Cundall & Strack 1979), by default those of Cui & O'Sullivan (2005); plates are like balls.
 
     Stiffnesses are the contact's, not the ball's.
     """

@@ -11,8 +11,9 @@ from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 
 from axijax import theory
+from axijax.progress import Run
 from axijax.results import Result, writable_folder, write_whole
-from axijax.triaxial import Run, TriaxialTest
+from axijax.triaxial import TriaxialTest
 
 if TYPE_CHECKING:
     from axijax.case import Case

@@ -2,7 +2,7 @@
 
 Declared once, where the parameter is:
 
-    friction: jax.Array | float | None = quantity(0.12278, "Coulomb coefficient between balls", "-", symbols=("f", "mu"))
+    friction: jax.Array | float | None = quantity(0.12278, "Coulomb coefficient between balls", "-", symbols=("f",))
 
 Case files, checks, fits and their help read it from there, by `declared` and `present`. A tree of dataclasses holds the
 parameters of a test; every name occurs once in it, so a name alone finds its place (`with_values`). A parameter or part
@@ -29,7 +29,7 @@ class Quantity:
     least, above: lower bound, itself allowed or not. below: upper bound, itself not allowed.
     symbols: short names by which a fit may call it.
     coordinate: in which it is a number without bounds: "log" of a scale, "logit" of what lies between 0 and `below`.
-    per_ball: it may also be one number a ball.
+    per_ball: it may also be one number a ball. whole: it counts something.
     """
 
     meaning: str
@@ -40,10 +40,11 @@ class Quantity:
     symbols: tuple[str, ...] = ()
     coordinate: Coordinate = "log"
     per_ball: bool = False
+    whole: bool = False
 
     @property
     def description(self) -> str:
-        return f"{self.meaning} [{self.unit}]"
+        return f"{self.meaning} [{self.unit}]" if self.unit else self.meaning
 
     @property
     def allowed(self) -> str:
@@ -55,13 +56,15 @@ class Quantity:
     def trouble(self, name: str, value, balls: int | None = None) -> str | None:
         """The sentence for a concrete value that makes no sense, or None. balls: number of them, for one value each."""
         numbers = np.asarray(value)
+        if self.whole and numbers.dtype.kind not in "iu":
+            return f"{name} = {value!r}: must be a whole number, {self.allowed}."
         if numbers.dtype.kind not in "fiu":
             return f"{name} = {value!r}: must be a number."
         finite = np.isfinite(numbers) | (np.isposinf(numbers) & (self.coordinate == "linear"))
         if not finite.all():
             return f"{name} = {numbers[~finite].ravel()[0]}: must be a finite number."
-        for shown in (numbers.min(initial=np.inf), numbers.max(initial=-np.inf)):
-            if numbers.size and (shown < self.least or shown <= self.above or self.below <= shown < np.inf):
+        for shown in (numbers.min(), numbers.max()) if numbers.size else ():
+            if shown < self.least or shown <= self.above or self.below <= shown < np.inf:
                 return f"{name} = {shown:g}: must be {self.allowed}."
         if numbers.shape != () and not (self.per_ball and numbers.shape == (balls,)):
             each = f", or ({balls},), one per ball" if self.per_ball else ""
@@ -72,6 +75,16 @@ class Quantity:
 def quantity(default, meaning: str, unit: str, **about) -> Any:
     """A dataclass field with this default that is a parameter; see `Quantity` for the rest."""
     return dataclasses.field(default=default, metadata={"quantity": Quantity(meaning, unit, **about)})
+
+
+def setting(default, meaning: str, unit: str = "", **about) -> Any:
+    """A dataclass field with this default that a case file may hold but nothing is differentiated against."""
+    return dataclasses.field(default=default, metadata={"setting": Quantity(meaning, unit, **about)})
+
+
+def settings(part: type | object) -> dict[str, Quantity]:
+    """The settings that a part declares, by name."""
+    return {f.name: f.metadata["setting"] for f in dataclasses.fields(part) if "setting" in f.metadata}  # type: ignore[arg-type]
 
 
 def declared(part: type | object) -> dict[str, Quantity]:

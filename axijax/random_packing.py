@@ -13,14 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from axijax import theory
-from axijax.confinement import Limits, confining_scene, roomy_lists, settle
-from axijax.dynamics import positions
+from axijax.dynamics import Scene, positions
 from axijax.fabric import contact_statistics, inside_balls, measured, pairs_within, sample_points
 from axijax.grading import Grading, linear
 from axijax.membrane import build_membrane, membrane_radius
 from axijax.packing import Specimen, check_positive
 from axijax.params import Params, check_params
+from axijax.paths import Isotropic
+from axijax.rebuild import roomy_lists
 from axijax.sector import Sector, plane_normals
+from axijax.stages import settle
 from axijax.time_step import DEFAULT_STEP
 from axijax.vector import from_rows
 from axijax.zone import outer_balls
@@ -139,8 +141,8 @@ def random_cylinder(
         radius = rng.permutation(grading.sample(balls // sector.order))
         # Near to what compaction will reach, so that it hardly changes the shape.
         loose = _grown(radius, sector, aspect_ratio, 0.6 - 0.1 * friction / (friction + 0.15), rng)
-        limits = Limits(float(friction), tolerance, most_steps)
-        cut, report = _compacted(loose, sector, params, limits)
+        path = Isotropic(float(friction) or None, tolerance, most_steps)
+        cut, report = _compacted(loose, sector, params, path)
         return cut, replace(report, grading=grading.name, sieves=_sieves(grading, radius), seed=seed)
 
     if void_ratio is None:
@@ -244,19 +246,18 @@ def _grown(radius: np.ndarray, sector: Sector, aspect_ratio: float, solid_fracti
     return Specimen(place, radius, 0.0, height, zone, "random cylinder", "exposure")
 
 
-def _compacted(loose: Specimen, sector: Sector, params: Params, limits: Limits):
+def _compacted(loose: Specimen, sector: Sector, params: Params, path: Isotropic):
     """A sector's balls in balance at the confining stress, and the report of it but for grading and seed."""
-    network, membrane = roomy_lists(loose, sector)
+    lists = roomy_lists(loose, sector)
     mass = float(params.density) * (4 / 3) * np.pi * loose.radius.min() ** 3
     # The limit of twelve contacts a ball, which no ball of the smallest size exceeds (PHYSICS 3.5).
     dt = float(DEFAULT_STEP * np.sqrt(mass / (10 * max(float(params.normal_stiffness), float(params.shear_stiffness)))))
-    scene = confining_scene(limits)
-    network, membrane, state, balance = settle(scene, loose, network, membrane, params, dt, limits)
-    if not float(balance.worst) <= limits.tolerance:
+    (network, _), state, balance = settle(Scene(), path, loose, lists, dt, params)
+    if not float(balance.worst) <= path.tolerance:
         raise RuntimeError(
             f"compaction of the random specimen stopped after {int(balance.steps)} steps at an unbalanced force of "
             f"{float(balance.unbalanced_force):.2g} and a stress error of {float(balance.stress_error):.2g}: raise "
-            f"most_steps or the tolerance {limits.tolerance:g}."
+            f"most_steps or the tolerance {path.tolerance:g}."
         )
     place = np.asarray(positions(network, state))
     bottom, top = (float(platen) for platen in state.platens)
@@ -281,7 +282,7 @@ def _compacted(loose: Specimen, sector: Sector, params: Params, limits: Limits):
         void_ratio=_void_ratio(cut, sector, rm, bottom, top),
         core_void_ratio=_void_ratio(cut, sector, rm / 2, middle - 0.3 * height, middle + 0.3 * height),
         **contacts._asdict(),
-        compaction_friction=limits.friction,
+        compaction_friction=path.friction or 0.0,
         unbalanced_force=float(balance.unbalanced_force),
         stress_error=float(balance.stress_error),
         steps=int(balance.steps),

@@ -192,8 +192,8 @@ def _inputs(result: Result) -> str:
     if result.has_state:
         test = result.test
         rows = [
-            ["time step", f"{test.time_step:.5g}", "taken, [T]"],
-            ["steps", str(test.protocol.blocks * test.protocol.block_steps), "of the shear"],
+            ["time step", f"{test.prepared.time_step:.5g}", "taken, [T]"],
+            ["steps", str(test.prepared.numerics.records * test.record_every), "of the shear"],
             ["balls", str(len(test.cut)), "in the sector"],
             ["membrane balls", str(int(test.cut.membrane_zone.sum())), "of these, at the start"],
             ["height", f"{test.cut.height:.5g}", "of the specimen as made [L]"],

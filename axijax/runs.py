@@ -33,9 +33,10 @@ import numpy as np
 from axijax.case import Case, load_case, to_toml
 from axijax.checkpoint import load_progress
 from axijax.curve import SimulationError
+from axijax.progress import Progress, Run
 from axijax.results import curves_dataset, save_dataset, save_run, writable_folder, write_whole
 from axijax.specimen_file import NAME, load_specimen, save_specimen
-from axijax.triaxial import Progress, Run, TriaxialTest
+from axijax.triaxial import TriaxialTest
 
 if TYPE_CHECKING:
     from axijax.random_packing import PackingReport
@@ -165,7 +166,7 @@ def _run(folder: Path, case: Case, test: TriaxialTest, start: Progress | None, i
         check()
 
     # The time step is written down, so that another version or machine goes on with the same one.
-    case = case.with_test(time_step=test.time_step)
+    case = case.with_test(time_step=test.prepared.time_step)
     info.update(_versions(), balls=len(test.cut))
     with _one_sentence_for_a_full_disk(folder), _signals_wait() as check:
         write_whole(folder / "case.toml", lambda target: target.write_text(to_toml(case)))

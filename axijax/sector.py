@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from axijax.quantity import setting
 from axijax.vector import Vector
 
 Boundary = Literal["periodic", "rigid"]
@@ -36,8 +37,12 @@ class Sector:
     order < 3 (their two planes would coincide, or enclose more than the half space of each).
     """
 
-    order: int = 4
-    boundary: Boundary = "periodic"
+    order: int = setting(
+        4, "number n of sectors in the full cylinder, each of theta in [0, 2*pi/n)", "-", least=1, whole=True
+    )
+    boundary: Boundary = setting(
+        "periodic", '"periodic" (images are rotations) or "rigid" (frictionless planes at theta = 0 and 2*pi/n)'
+    )
 
     def __post_init__(self) -> None:
         if isinstance(self.order, bool) or not isinstance(self.order, int | np.integer) or self.order < 1:

@@ -12,13 +12,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from axijax.confinement import current_load
 from axijax.contacts import geometry, resultants
 from axijax.dynamics import all_forces, positions
+from axijax.engine import current_load
 from axijax.membrane import lateral_force, membrane_radius
 from axijax.observe import at_coulomb_limit
+from axijax.progress import Progress
 from axijax.sector import Sector, plane_normals
-from axijax.triaxial import Progress, TriaxialTest
+from axijax.triaxial import TriaxialTest
 from axijax.vector import zeros
 from axijax.zone import cell_polygons
 
@@ -137,7 +138,8 @@ def snapshot(
     """
     sector, network, state = test.sector, progress.network, progress.state
     n = sector.images
-    seen = _mechanics(test.scene, progress.params, network, progress.membrane, progress.fixed, test.time_step, state)
+    dt = test.prepared.time_step
+    seen = _mechanics(test.scene, progress.params, network, progress.membrane, progress.fixed, dt, state)
     seen = {name: np.asarray(value) for name, value in seen.items()}
     place = np.asarray(positions(network, state), float)
     heights = np.asarray(state.platens, float)

@@ -11,9 +11,10 @@ import numpy as np
 from axijax import theory
 from axijax.packing import fcc_octagon
 from axijax.params import Params
+from axijax.progress import Run
 from axijax.results import curves_dataset, save_dataset, save_table
 from axijax.sector import Boundary, Sector
-from axijax.triaxial import Run, TriaxialTest
+from axijax.triaxial import TriaxialTest
 
 COLUMNS = (
     "boundary", "sectors", "friction", "theory", "paper", "peak_ratio", "core_ratio", "virial_ratio",

@@ -45,7 +45,7 @@ class Push(NamedTuple):
 
     force: Vector | None
     moment: Vector | None = None
-    memory: Memory = Memory()  # noqa: RUF009
+    memory: Memory = Memory()
     detail: Any = None
 
 
@@ -68,8 +68,8 @@ class Stored(NamedTuple):
 
 
 class Term:
-    """One physical effect. `params` are those of the test, `network` holds balls and contact list, `state` the motion at t,
-    `dt` is the time step."""
+    """One physical effect. `params` are those of the test, `network` holds balls and contact list, `state` the motion
+    at t, `dt` is the time step."""
 
     # Whether it can make the motion stiffer or more viscous than contacts and walls do; if so the critical time step is
     # found from the linearised forces.

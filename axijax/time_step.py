@@ -1,9 +1,9 @@
 """The critical time step of a network, from its stiffest modes (host, SciPy's sparse eigenvalue solver)."""
 
-import jax.numpy as jnp
 import numpy as np
 
-from axijax.dynamics import Scene, spins as scene_spins
+from axijax.dynamics import Scene
+from axijax.dynamics import spins as scene_spins
 from axijax.neighbors import Network
 from axijax.params import Params
 from axijax.sector import plane_normals

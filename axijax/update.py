@@ -75,9 +75,9 @@ def update(
     """The contact list at the present positions, with the memory of the contacts that it shares with the old one.
 
     displacement: (N,) vectors from the old list's reference positions, zero for the new list [L]. memory: a pytree of
-    (C,) arrays, such as the contacts' springs. Returns list, memory and status bits: FULL_LIST where slots, contacts or cells did not suffice, STALE_LIST
-    where two balls may have come closer by more than the skin, so that the old list may have missed a contact,
-    NOT_FINITE.
+    (C,) arrays, such as the contacts' springs. Returns list, memory and status bits: FULL_LIST where slots, contacts or
+    cells did not suffice, STALE_LIST where two balls may have come closer by more than the skin, so that the old list
+    may have missed a contact, NOT_FINITE.
 
     A contact that was listed keeps its branch vector and overlap to the last bit, with its tangent; indices have none.
     """

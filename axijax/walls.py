@@ -162,7 +162,8 @@ class WallTerm(Term):
             force = push if force is None else force + push
             found.append((pressed, held, after))
         detail = WallForces(*zip(*found, strict=True))
-        return Push(force, moment, Memory(ball=None if params.material.platen_friction is None else detail.springs), detail)
+        smooth = params.material.platen_friction is None
+        return Push(force, moment, Memory(ball=None if smooth else detail.springs), detail)
 
     def spent(self, params, network, dt, state, memory, push, mean) -> Spent:
         law, lost = params.material.wall_law(network), jnp.zeros_like(network.radius)
@@ -200,8 +201,8 @@ class WallTerm(Term):
         law = params.material.wall_law(network)
         lost = viscous = jnp.zeros_like(network.radius)
         places = zip(
-            self.planes(params, network, state), self._before(params, network, dt, state), self._springs(network, memory),
-            push.detail.held, push.detail.springs, strict=True,
+            self.planes(params, network, state), self._before(params, network, dt, state),
+            self._springs(network, memory), push.detail.held, push.detail.springs, strict=True,
         )  # fmt: skip
         for plane, earlier, spring, held, after in places:
             if spring is None:

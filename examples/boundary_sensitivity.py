@@ -44,7 +44,7 @@ def packings(options):
 def sheared(specimen, report, sector, friction, strain) -> dict:
     """Shear one specimen and return what the study keeps of it."""
     import axijax
-    from axijax.confinement import specimen_now
+    from axijax.rebuild import specimen_now
     from axijax.fabric import contact_statistics, profiles
     from axijax.random_packing import platen_speed
     from axijax.results import RECORDS

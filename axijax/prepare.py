@@ -1,0 +1,106 @@
+"""What a test needs before it can run: contact list, membrane, time step and numbers of steps. As pytrees of arrays."""
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from axijax.dynamics import Scene
+from axijax.membrane import Load, Membrane, build_membrane
+from axijax.neighbors import Network, build_network
+from axijax.params import check_params
+from axijax.paths import Compression, Isotropic, wave_speed
+from axijax.rebuild import roomy_lists
+from axijax.time_step import DEFAULT_STEP, check_step, critical_time_step
+from axijax.update import Grid, grid_for
+
+if TYPE_CHECKING:
+    from axijax.triaxial import TriaxialTest
+
+
+@dataclass(frozen=True)
+class Numerics:
+    """The numbers of a test that are not physics and shape what is compiled; static.
+
+    records, record_every: the shear makes so many records and takes so many steps after each.
+    refresh: find the membrane's cells again with every record; otherwise they keep their first areas.
+    rebuild_every, grid: rebuild the lists inside jit each time after so many records, by this grid; zero keeps them.
+    """
+
+    records: int
+    record_every: int = 50
+    refresh: bool = True
+    rebuild_every: int = 0
+    grid: Grid | None = None
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Prepared:
+    """A test ready to be simulated, a pytree: tests of one structure and one shape share a compiled program.
+
+    platens: (2,) heights of the bottom and the top platen before confinement [L].
+    time_step: of a step [T]. confinement, shear: the two stages' paths.
+    lateral_load: a constant load in place of the membrane's, or None.
+    scene, numerics: static.
+    """
+
+    network: Network
+    membrane: Membrane
+    platens: jax.Array
+    time_step: jax.Array | float
+    confinement: Isotropic
+    shear: Compression
+    lateral_load: Load | None
+    scene: Scene = field(metadata={"static": True})
+    numerics: Numerics = field(metadata={"static": True})
+
+    @property
+    def lists(self) -> tuple[Network, Membrane]:
+        return self.network, self.membrane
+
+
+def prepare(test: "TriaxialTest") -> Prepared:
+    """Contact list, membrane, time step and paths of a test (host).
+
+    Raises ValueError for specimens, parameters and steps that make no sense together.
+    """
+    cut, sector, params = test.cut, test.sector, test.params
+    check_params(params, len(cut))
+    for term in params.terms:
+        term.check(sector)
+    if cut.zone_rule == "exposure" or test.rebuild_every:
+        network, membrane = roomy_lists(cut, sector, test.dtype)
+    else:
+        network = build_network(cut, sector, dtype=test.dtype)
+        membrane = build_membrane(cut, sector, dtype=test.dtype)
+    limit = critical_time_step(test.scene, params, network)
+    step = DEFAULT_STEP * limit if test.time_step is None else test.time_step
+    if not test.allow_unsafe_step:
+        check_step(step, limit)
+    ramp = 8 * cut.height / wave_speed(params, network)
+    duration = test.axial_strain * cut.height / (2 * float(params.platen_speed)) + ramp / 2
+    return Prepared(
+        network=network,
+        membrane=membrane,
+        platens=jnp.asarray([cut.bottom, cut.top]),
+        time_step=float(step),
+        confinement=Isotropic(
+            float(test.confining_friction) if test.confining_friction > 0 else None, test.tolerance, test.confine_steps
+        ),
+        shear=Compression(float(ramp)),
+        # What is constant does not age.
+        lateral_load=None if test.lateral_load is None else replace(test.lateral_load, stale=0.0),
+        scene=test.scene,
+        numerics=Numerics(
+            records=int(np.ceil(duration / step / test.record_every)) + 1,  # one at the start and one at the end
+            record_every=test.record_every,
+            refresh=test.refresh,
+            rebuild_every=test.rebuild_every,
+            grid=grid_for(network) if test.rebuild_every else None,
+        ),
+    )
+
+

@@ -1,0 +1,99 @@
+"""The two stages of a test, confinement and shear, as functions of what is prepared and of the parameters."""
+
+import jax
+import jax.numpy as jnp
+
+from axijax.curve import Confinement, Curve, make_curve
+from axijax.dynamics import Scene, initial_state
+from axijax.engine import Lists, Stretch, fixed_load, march, march_until
+from axijax.membrane import Load
+from axijax.neighbors import closing
+from axijax.packing import Specimen
+from axijax.params import Params
+from axijax.paths import Isotropic
+from axijax.prepare import Prepared
+from axijax.rebuild import rebuilt
+from axijax.state import State
+from axijax.status import NOT_CONFINED
+
+CONFINE_EVERY = 50  # steps between looks at the balance, and between refreshes of the membrane, in confinement
+
+
+def _ended(stretch: Stretch) -> tuple[State, Confinement]:
+    return stretch.state, Confinement(*stretch.watched, stretch.steps)
+
+
+def confine(prepared: Prepared, params: Params) -> tuple[State, Confinement]:
+    """Confinement with one contact list throughout; pure."""
+    path, lists = prepared.confinement, prepared.lists
+    start = _at_rest(prepared.scene, path, lists, params, prepared.platens)
+    return _ended(
+        march_until(
+            prepared.scene, None, CONFINE_EVERY, False, path, lists, prepared.time_step, params, start,
+            prepared.lateral_load, CONFINE_EVERY, 0, True,
+        )
+    )  # fmt: skip
+
+
+def settle(
+    scene: Scene,
+    path: Isotropic,
+    cut: Specimen,
+    lists: Lists,
+    dt,
+    params: Params,
+    fixed: Load | None = None,
+) -> tuple[Lists, State, Confinement]:
+    """Confinement, from rest, with contact list and membrane rebuilt where they are worn (host loop).
+
+    Returns the last lists, the state and its balance, which may be outside the tolerance after path.most_steps. Raises
+    RuntimeError where a ball moves too fast for the lists.
+    """
+    state, steps = _at_rest(scene, path, lists, params, jnp.asarray([cut.bottom, cut.top])), 0
+    while True:
+        reached = march_until(
+            scene, None, CONFINE_EVERY, True, path, lists, dt, params, state, fixed, CONFINE_EVERY, steps, True
+        )
+        state, balance = _ended(reached)
+        network, _ = lists
+        if float(closing(network, state.displacement)) > float(network.skin):
+            raise RuntimeError(
+                "confinement: two balls together moved by more than the skin of the contact list within a few steps, "
+                "so a contact may be missing: take a denser start, another seed or a smaller confining_stress."
+            )
+        if not path.going(reached.watched, reached.steps):
+            return lists, state, balance
+        lists, state = rebuilt(cut, lists, state)
+        steps = int(balance.steps)
+
+
+def _at_rest(scene: Scene, path: Isotropic, lists: Lists, params: Params, platens) -> State:
+    return initial_state(path.scene(scene), path.params(params, *lists, platens), lists[0], platens)
+
+
+def start_shear(scene: Scene, params: Params, lists: Lists, confined: State) -> State:
+    """The test's friction on, balls and platens from rest; springs of a frictional confinement are kept, or else start
+    from nothing."""
+    rest = initial_state(scene, params, lists[0], confined.platens)
+    spring = rest.spring if confined.spring is None or rest.spring is None else confined.spring
+    return rest._replace(displacement=confined.displacement).with_spring(spring)
+
+
+@jax.jit
+def simulate(prepared: Prepared, params: Params) -> Curve:
+    """The curve of a test, a pure function of its lists and parameters: confinement and shear.
+
+    One contact list serves it all, but for `rebuild_every`. Tests of one shape share the compiled program.
+    """
+    numerics, lists, dt = prepared.numerics, prepared.lists, prepared.time_step
+    confined, balance = confine(prepared, params)
+    start = start_shear(prepared.scene, params, lists, confined)
+    fixed = fixed_load(numerics.refresh, prepared.lateral_load, lists, start)
+    rebuild = (numerics.rebuild_every, numerics.grid) if numerics.grid is not None else None
+    size = numerics.records, numerics.record_every
+    _, seen, status = march(prepared.scene, prepared.shear, *size, rebuild, lists, dt, params, start, fixed)
+    settled = balance.worst <= prepared.confinement.tolerance
+    status = jnp.bitwise_or.reduce(status) | jnp.where(settled, 0, NOT_CONFINED)
+    return make_curve(seen, balance, status)
+
+
