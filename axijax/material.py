@@ -37,7 +37,7 @@ class Material:
     )
     density: jax.Array | float = quantity(2000.0, "density of the balls", "M/L^3", above=0.0, symbols=("rho",))
     platen_friction: jax.Array | float | None = quantity(
-        None, "Coulomb coefficient between balls and platens; none: smooth, inf: glued", "-", coordinate="linear"
+        None, "Coulomb coefficient between balls and platens; none: smooth, inf: glued", "-", infinite=True
     )
     damping: Damping | None = Dashpot()
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 Coordinate = Literal["log", "logit", "linear"]
@@ -29,7 +30,7 @@ class Quantity:
     least, above: lower bound, itself allowed or not. below: upper bound, itself not allowed.
     symbols: short names by which a fit may call it.
     coordinate: in which it is a number without bounds: "log" of a scale, "logit" of what lies between 0 and `below`.
-    per_ball: it may also be one number a ball. whole: it counts something.
+    per_ball: it may also be one number a ball. whole: it counts something. infinite: it may be infinite.
     """
 
     meaning: str
@@ -41,6 +42,7 @@ class Quantity:
     coordinate: Coordinate = "log"
     per_ball: bool = False
     whole: bool = False
+    infinite: bool = False
 
     @property
     def description(self) -> str:
@@ -53,6 +55,30 @@ class Quantity:
         low = {"above 0": "positive", "0 or more": "zero or positive", "-inf or more": "a number"}.get(low, low)
         return low if np.isinf(self.below) else f"{low} and below {self.below:g}"
 
+    @property
+    def top(self) -> float:
+        """Below which a logit coordinate keeps it."""
+        return self.below if np.isfinite(self.below) else 1.0
+
+    def to_coordinate(self, value):
+        """The unconstrained coordinate of a physical value."""
+        if self.coordinate == "logit":
+            share = value / self.top
+            return jnp.log(share) - jnp.log1p(-share)
+        return jnp.log(value) if self.coordinate == "log" else jnp.asarray(value)
+
+    def from_coordinate(self, coordinate):
+        """The physical value of a coordinate."""
+        if self.coordinate == "logit":
+            return self.top / (1 + jnp.exp(-coordinate))
+        return jnp.exp(coordinate) if self.coordinate == "log" else coordinate
+
+    def coordinate_rate(self, value):
+        """d value / d coordinate [unit of the value]."""
+        if self.coordinate == "logit":
+            return value * (1 - value / self.top)
+        return value if self.coordinate == "log" else jnp.ones_like(value)
+
     def trouble(self, name: str, value, balls: int | None = None) -> str | None:
         """The sentence for a concrete value that makes no sense, or None. balls: number of them, for one value each."""
         numbers = np.asarray(value)
@@ -60,7 +86,7 @@ class Quantity:
             return f"{name} = {value!r}: must be a whole number, {self.allowed}."
         if numbers.dtype.kind not in "fiu":
             return f"{name} = {value!r}: must be a number."
-        finite = np.isfinite(numbers) | (np.isposinf(numbers) & (self.coordinate == "linear"))
+        finite = np.isfinite(numbers) | (np.isposinf(numbers) & self.infinite)
         if not finite.all():
             return f"{name} = {numbers[~finite].ravel()[0]}: must be a finite number."
         for shown in (numbers.min(), numbers.max()) if numbers.size else ():

@@ -6,85 +6,44 @@ does; named together each moves alone.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
-ALIASES = {
-    "f": "friction",
-    "mu": "friction",
-    "kn": "normal_stiffness",
-    "ks": "shear_stiffness",
-    "ks/kn": "stiffness_ratio",
-    "G": "shear_modulus",
-    "nu": "poisson_ratio",
-    "s3": "confining_stress",
-    "beta": "damping_ratio",
-    "rho": "density",
-    "scale": "ball_radius_scale",
+from axijax.quantity import Quantity, present
+
+# Numbers that are no field of their own: kn and ks follow from them.
+RATIO, SCALE = "stiffness_ratio", "ball_radius_scale"
+DERIVED = {
+    RATIO: Quantity("tangential over normal stiffness of a contact", "-", above=0.0, symbols=("ks/kn",)),
+    SCALE: Quantity("radius of the balls over the test's: larger balls are softer", "-", above=0.0, symbols=("scale",)),
 }
-
-# Default allowed range of each parameter, as factors of the reference value for all but friction and the ratio.
-_FACTOR = (1e-3, 1e3)
-LIMITS = {
-    "friction": (1e-3, 0.999),
-    "stiffness_ratio": (1e-2, 10.0),
-    "normal_stiffness": _FACTOR,
-    "shear_stiffness": _FACTOR,
-    "shear_modulus": _FACTOR,
-    "poisson_ratio": (1e-3, 0.499),
-    "confining_stress": _FACTOR,
-    "density": _FACTOR,
-    "damping_ratio": (1e-2, 1e2),
-    "ball_radius_scale": (1e-2, 1e2),
-}
-_ABSOLUTE = ("friction", "stiffness_ratio", "poisson_ratio", "ball_radius_scale")
-_BELOW = {"friction": 1.0, "poisson_ratio": 0.5}
-
-# What the other contact law knows nothing of.
-_UNUSED = {
-    "linear": ("shear_modulus", "poisson_ratio"),
-    "hertz": ("normal_stiffness", "shear_stiffness", "stiffness_ratio", "ball_radius_scale"),
-}
+# Default range of what is not bounded by nature, as factors of the reference value.
+RANGE = {RATIO: (1e-2, 10.0), SCALE: (1e-2, 1e2)}
+FACTOR = (1e-3, 1e3)
 
 
-def reference_values(params) -> dict[str, float]:
-    """The value of every parameter that can be named, at some `axijax` Params."""
-    values = {name: float(np.mean(getattr(params, name))) for name in LIMITS if hasattr(params, name)}
-    values["stiffness_ratio"] = values["shear_stiffness"] / values["normal_stiffness"]
-    values["ball_radius_scale"] = 1.0
-    return values
+def fittable(params) -> dict[str, tuple[Quantity, Any]]:
+    """Declaration and value of every parameter of `axijax` Params that a fit can name; what is not there would do
+    nothing, so no data can tell it."""
+    found = present(params)
+    if {"normal_stiffness", "shear_stiffness"} <= set(found):
+        kn, ks = (found[name][1] for name in ("normal_stiffness", "shear_stiffness"))
+        found |= {RATIO: (DERIVED[RATIO], ks / kn), SCALE: (DERIVED[SCALE], 1.0)}
+    return found
 
 
-def check_used(names: Sequence[str], contact_law: str) -> None:
-    """Raise ValueError for a parameter that a scene with this contact law does not use."""
-    unused = [name for name in names if name in _UNUSED[contact_law]]
-    if unused:
-        raise ValueError(
-            f"parameter '{unused[0]}': contact_law = '{contact_law}' does not use it, so no data can tell it; fit "
-            "another parameter, or take the other contact law."
-        )
+def aliases(known: Mapping[str, tuple[Quantity, Any]]) -> dict[str, str]:
+    """Full names by symbol."""
+    return {symbol: name for name, (about, _) in known.items() for symbol in about.symbols}
 
 
-def _hertz_stiffness(shear_modulus, poisson_ratio):
-    """What the normal and the tangential stiffness under a given force are proportional to (Hertz-Mindlin)."""
-    modulus = shear_modulus / (1 - poisson_ratio)
-    return modulus ** (2 / 3), shear_modulus / (2 - poisson_ratio) * modulus ** (-1 / 3)
-
-
-def to_coordinate(name: str, value):
-    """Unconstrained coordinate of a physical value: logit for friction, log for all others."""
-    return jnp.log(value) - jnp.log1p(-value) if name == "friction" else jnp.log(value)
-
-
-def from_coordinate(name: str, coordinate):
-    """Physical value of a coordinate."""
-    return 1 / (1 + jnp.exp(-coordinate)) if name == "friction" else jnp.exp(coordinate)
-
-
-def coordinate_rate(name: str, value):
-    """d value / d coordinate [unit of the value]."""
-    return value * (1 - value) if name == "friction" else value
+def default_limits(name: str, about: Quantity, reference: float) -> tuple[float, float]:
+    """The range of a parameter in a fit that gives none, in physical values."""
+    if about.coordinate == "logit":
+        return 1e-3 * about.top, 0.999 * about.top
+    low, high = (factor * reference for factor in RANGE.get(name, FACTOR))
+    return low, min(high, 0.998 * about.below)
 
 
 @dataclass(frozen=True)
@@ -111,63 +70,83 @@ class Prior:
 class ParameterSet:
     """Named parameters of one simulator, in order; P of them.
 
-    names: P full names. reference: values that anything not named keeps. lower, upper: (P,) physical limits.
+    names: P full names. about: their declarations. reference: values that anything not named keeps.
+    lower, upper: (P,) physical limits. symbols: short names of all parameters there are.
     """
 
     names: tuple[str, ...]
+    about: tuple[Quantity, ...]
     reference: Mapping[str, float]
     lower: np.ndarray
     upper: np.ndarray
+    symbols: Mapping[str, str]
 
     @classmethod
     def of(
         cls, params, names: Sequence[str] | str, bounds: Mapping[str, tuple[float, float]] | None = None
     ) -> "ParameterSet":
-        """From reference Params, names or aliases (f, kn, ks, ks/kn, s3, beta, rho), and bounds by name.
+        """From reference Params, names or symbols (f, kn, ks, ks/kn, s3, beta, rho, G, nu), and bounds by name.
 
         Raises ValueError for unknown, repeated or contradictory names and for bounds that make no sense.
         """
+        known = fittable(params)
+        symbols = aliases(known)
         names = names.split(",") if isinstance(names, str) else list(names)
         full = []
         for name in (str(name).strip() for name in names):
-            known = ALIASES.get(name, name)
-            if known not in LIMITS:
-                raise ValueError(f"parameter '{name}': must be one of {', '.join(LIMITS)} (or {', '.join(ALIASES)}).")
-            if known in full:
-                raise ValueError(f"parameter '{known}' is named twice; name each once.")
-            full.append(known)
+            found = symbols.get(name, name)
+            if found not in known:
+                raise ValueError(
+                    f"parameter '{name}': this test has no such number, so no data can tell it; it has "
+                    f"{', '.join(known)} (or {', '.join(symbols)})."
+                )
+            if found in full:
+                raise ValueError(f"parameter '{found}' is named twice; name each once.")
+            full.append(found)
         if not full:
             raise ValueError("no parameter is named; name at least one, for instance 'friction'.")
-        if "stiffness_ratio" in full and "shear_stiffness" in full:
+        if RATIO in full and "shear_stiffness" in full:
             raise ValueError(
                 "'stiffness_ratio' and 'shear_stiffness' are both named; one gives the other, so name one."
             )
-        if "ball_radius_scale" in full and {"normal_stiffness", "confining_stress"} & set(full):
+        if SCALE in full and {"normal_stiffness", "confining_stress"} & set(full):
             raise ValueError(
                 "'ball_radius_scale' is named with a stiffness or the confining stress: only kn / (s3 r) acts, so they "
                 "cannot be told apart; name one of them."
             )
-        if np.ndim(params.friction) and "friction" in full:
+        if "friction" in full and np.ndim(known["friction"][1]):
             raise ValueError(
                 "friction is given per ball; fit one number, or take friction_map for a sensitivity per ball."
             )
-        reference = reference_values(params)
-        given = {ALIASES.get(name, name): limits for name, limits in (bounds or {}).items()}
+        reference = {name: float(np.mean(value)) for name, (_, value) in known.items()}
+        given = {symbols.get(name, name): limits for name, limits in (bounds or {}).items()}
         for name in given:
             if name not in full:
                 raise ValueError(f"bounds are given for '{name}', which is not fitted; fitted are {', '.join(full)}.")
+        about = tuple(known[name][0] for name in full)
         low, high = [], []
-        for name in full:
-            factor = 1.0 if name in _ABSOLUTE else reference[name]
-            lower, upper = given.get(name, tuple(factor * limit for limit in LIMITS[name]))
-            if not (np.isfinite([lower, upper]).all() and 0 < lower < upper and upper < _BELOW.get(name, np.inf)):
+        for name, each in zip(full, about, strict=True):
+            lower, upper = given.get(name, default_limits(name, each, reference[name]))
+            top = each.top if each.coordinate == "logit" else each.below
+            least = -np.inf if each.coordinate == "linear" else 0.0
+            if not (np.isfinite([lower, upper]).all() and least < lower < upper < top):
                 raise ValueError(
-                    f"bounds of {name} = ({lower!r}, {upper!r}): must be two numbers, 0 < lower < upper"
-                    + (f" < {_BELOW[name]:g}." if name in _BELOW else ".")
+                    f"bounds of {name} = ({lower!r}, {upper!r}): must be two numbers, "
+                    + ("" if np.isinf(least) else "0 < ")
+                    + "lower < upper"
+                    + (f" < {top:g}." if np.isfinite(top) else ".")
                 )
             low.append(lower)
             high.append(upper)
-        return cls(tuple(full), reference, np.array(low, float), np.array(high, float))
+        return cls(tuple(full), about, reference, np.array(low, float), np.array(high, float), symbols)
+
+    def full_name(self, name: str) -> str:
+        """The full name of a symbol, or the name itself."""
+        return self.symbols.get(name, name)
+
+    def about_of(self, name: str) -> Quantity:
+        """The declaration of one of the names."""
+        return self.about[self.names.index(name)]
 
     def __len__(self) -> int:
         return len(self.names)
@@ -177,7 +156,7 @@ class ParameterSet:
 
         Raises ValueError, naming field, value and what is allowed, for values outside the limits.
         """
-        given = {ALIASES.get(name, name): value for name, value in (values or {}).items()}
+        given = {self.full_name(name): value for name, value in (values or {}).items()}
         for name in given:
             if name not in self.names:
                 raise ValueError(f"a value is given for '{name}', which is not among {', '.join(self.names)}.")
@@ -192,11 +171,15 @@ class ParameterSet:
         return self._coordinates(self.lower), self._coordinates(self.upper)
 
     def _coordinates(self, physical) -> np.ndarray:
-        return np.array([float(to_coordinate(n, v)) for n, v in zip(self.names, physical, strict=True)])
+        return np.array([float(each.to_coordinate(v)) for each, v in zip(self.about, physical, strict=True)])
 
     def values(self, coordinates) -> dict[str, float]:
         """Physical values of (P,) coordinates."""
-        return {name: float(from_coordinate(name, z)) for name, z in zip(self.names, coordinates, strict=True)}
+        return {name: float(value) for name, value in self._physical(coordinates).items()}
+
+    def _physical(self, coordinates) -> dict[str, Any]:
+        pairs = zip(self.names, self.about, coordinates, strict=True)
+        return {name: about.from_coordinate(z) for name, about, z in pairs}
 
     def params(self, base, coordinates, hold_time_step: bool = True):
         """`base` Params with these coordinates put in; pure, for traced coordinates.
@@ -205,23 +188,16 @@ class ParameterSet:
             Every frequency over the reference time step then stays at or below the reference's, so that a test built
             once serves a wide range of stiffness; the loading is faster against the waves by the root of that factor.
         """
-        value = {name: from_coordinate(name, z) for name, z in zip(self.names, coordinates, strict=True)}
-        reference = self.reference
-        kn = value.get("normal_stiffness", reference["normal_stiffness"])
-        if "shear_stiffness" in value:
-            ks = value["shear_stiffness"]
-        else:
-            ks = kn * value.get("stiffness_ratio", reference["stiffness_ratio"])
-        if "ball_radius_scale" in value:  # only kn / (s3 r) acts: larger balls are softer ones (dimensional analysis)
-            kn, ks = kn / value["ball_radius_scale"], ks / value["ball_radius_scale"]
-        density = value.get("density", reference["density"])
-        if hold_time_step and set(value) & {"normal_stiffness", "shear_stiffness", "stiffness_ratio"}:
-            density = density * jnp.maximum(kn / reference["normal_stiffness"], ks / reference["shear_stiffness"])
-        if hold_time_step and set(value) & {"shear_modulus", "poisson_ratio"}:
-            material = ("shear_modulus", "poisson_ratio")
-            now = _hertz_stiffness(*(value.get(name, reference[name]) for name in material))
-            once = _hertz_stiffness(*(reference[name] for name in material))
-            density = density * jnp.maximum(now[0] / once[0], now[1] / once[1])
-        same = ("friction", "confining_stress", "damping_ratio", "shear_modulus", "poisson_ratio")
-        changed = {name: value[name] for name in same if name in value}
-        return replace(base, normal_stiffness=kn, shear_stiffness=ks, density=density, **changed)
+        value = self._physical(coordinates)
+        changes = {name: number for name, number in value.items() if name not in DERIVED}
+        if set(value) & {RATIO, SCALE, "normal_stiffness"}:
+            kn = value.get("normal_stiffness", self.reference.get("normal_stiffness"))
+            ks = value.get("shear_stiffness", kn * value.get(RATIO, self.reference[RATIO]))
+            # Only kn / (s3 r) acts: larger balls are softer ones (dimensional analysis).
+            softer = value.get(SCALE, 1.0)
+            changes |= {"normal_stiffness": kn / softer, "shear_stiffness": ks / softer}
+        made = replace(base, **changes)
+        stiffness = {"normal_stiffness", "shear_stiffness", RATIO, "shear_modulus", "poisson_ratio"}
+        if hold_time_step and set(value) & stiffness:
+            made = replace(made, density=made.density * made.material.stiffness_over(base.material))
+        return made
