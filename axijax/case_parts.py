@@ -71,7 +71,8 @@ def _parameters() -> dict[str, Any]:
         for name, about in declared(part).items():
             default = part.__dataclass_fields__[name].default
             kind = float if default is not None else float | None
-            made[name] = kind, Field(default, description=about.description, allow_inf_nan=about.infinite, **bounds(about))
+            told: Any = {"description": about.description, "allow_inf_nan": about.infinite, **bounds(about)}
+            made[name] = kind, Field(default, **told)
     return made
 
 
