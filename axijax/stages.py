@@ -20,7 +20,8 @@ CONFINE_EVERY = 50  # steps between looks at the balance, and between refreshes 
 
 
 def _ended(stretch: Stretch) -> tuple[State, Confinement]:
-    return stretch.state, Confinement(*stretch.watched, stretch.steps)
+    balance = stretch.watched
+    return stretch.state, Confinement(balance.unbalanced_force, balance.stress_error, stretch.steps)
 
 
 def confine(prepared: Prepared, params: Params) -> tuple[State, Confinement]:

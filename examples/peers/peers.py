@@ -61,7 +61,7 @@ def write_scene(path: Path, test, state, load) -> None:
         section=float(load.section),
         time_step=test.time_step,
         ramp_time=test.ramp_time,
-        **{name: float(value) for name, value in vars(params).items()},
+        **{name: float(value) for name, value in values_of(params).items()},
     )
 
 
