@@ -114,7 +114,8 @@ def parameter_grid(test: TriaxialTest, **values: Sequence[float]) -> list[Member
             raise ValueError(f"'{name}' is not a parameter of this test; it has {', '.join(known)}.")
         if np.ndim(sequence) != 1 or not len(sequence):
             raise ValueError(f"{name} = {sequence!r}: must be a list of at least one number.")
-    sets: list[dict[str, Any]] = [dict(zip(values, map(float, point), strict=True)) for point in itertools.product(*values.values())]
+    points = itertools.product(*values.values())
+    sets: list[dict[str, Any]] = [dict(zip(values, map(float, point), strict=True)) for point in points]
     return [Member(point_name(point), test, replace(test.params, **point), point) for point in sets]
 
 
