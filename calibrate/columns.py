@@ -152,8 +152,8 @@ class _Reader:
                 row = int(np.flatnonzero(apart)[0])
                 raise DataError(
                     f"{self.file}: columns '{self.title(heads[0])}' and '{self.title(head)}' are both {quantity}, but "
-                    f"give {columns[0][row]:g} and {column[row]:g} in data row {row + 1}; remove or rename the wrong "
-                    "one."
+                    f"give {columns[0][row]:g} and {column[row]:g} in data row {row + 1}, in one unit; remove or "
+                    "rename the wrong one."
                 )
         return columns[0]
 

@@ -10,7 +10,8 @@ import numpy as np
 
 SMALLEST_RATIO, LARGEST_RATIO = 0.98, 20.0  # s1/s3: seating noise at the start; sands reach 3 to 8, friction 0.8 18
 START_RATIO = 1.2  # at strain zero
-OFFSET = 0.1  # of the strain at half rise
+OFFSET = 0.1  # of the strain at half rise: more of it before the rise begins is an offset or bedding
+BEGUN = 0.02  # of the rise: from there on it has begun
 HALF_RISE = (2e-5, 0.03)  # axial strain [-] at which R is halfway to its peak; loose sands come to 0.017
 EARLY_DILATION = -0.2  # mean volumetric over mean axial strain up to half rise; what contracts first is positive
 CONTRACTION, DILATION, NO_VOLUME = 1.25, 2.0, 0.01  # volumetric over axial strain; above 1 the sides would move in
@@ -46,9 +47,9 @@ class ConfiningStress:
             return None
         unit = "" if self.in_pascal else ", write its unit behind the name of the column, such as [kPa]"
         return (
-            f"the confining stress of the data is {self}, of the simulated test {simulated:g}: a stiffness fitted is "
-            f"wrong by their ratio unless the case counts in other units{unit}; set confining_stress of the case to "
-            "that of the data."
+            f"the confining stress of the data is {self}, of the simulated test {simulated:g}: unless the case counts "
+            f"in other units{unit}, a stiffness fitted is wrong by a factor {self.value / simulated:.3g}; set "
+            "confining_stress of the case to that of the data."
         )
 
 
@@ -116,6 +117,13 @@ def _of_strain(strain, ratio, half: int, marked: bool) -> list[str]:
             found.append(
                 f"axial_strain begins at {_percent(strain[0])} where R = {ratio[0]:.4g}: an isotropic start has no "
                 f"strain, so some {_percent(offset)} look like an offset; subtract it in the file if it is one."
+            )
+        flat = int(np.flatnonzero(ratio[:half] < 1 + BEGUN * (ratio.max() - 1)).max(initial=0))
+        if flat > 0 and strain[flat] - strain[0] > OFFSET * strain[half]:
+            found.append(
+                f"R is still {ratio[flat]:.4g} at axial strain {_percent(strain[flat])} in data row {flat + 1}: "
+                "bedding of the platens, or an offset? Remove the rows before, and subtract that strain from the rest "
+                "if it is one."
             )
     return found
 

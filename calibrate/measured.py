@@ -212,7 +212,8 @@ class MeasuredCurve:
         wanted = {quantity: name for quantity, name in wanted.items() if name != quantity}
         if volumetric_strain is not None:
             wanted[VOLUME] = volumetric_strain
-        read = read_measured(path, wanted, UNITS[unit] if unit else None, sign)
+        with np.errstate(all="ignore"):  # what overflows is not finite, which is refused below
+            read = read_measured(path, wanted, UNITS[unit] if unit else None, sign)
         confining = None
         if read.confining_stress is not None:
             confining = ConfiningStress(float(np.median(read.confining_stress)), read.stress_marked)

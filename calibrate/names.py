@@ -40,6 +40,7 @@ OF_ONE = {mark: size for size, marks in _OF_ONE.items() for mark in marks.split(
 PASCAL = {mark: size for size, marks in _PASCAL.items() for mark in marks.split()}
 WORDS = {1.0: "fraction", 1e-2: "percent", 1e-3: "permille", 1e-6: "microstrain"}
 _BRACKETS = re.compile(r"\[([^\]]*)\]|\(([^)]*)\)|\{([^}]*)\}")
+_BEFORE_UNIT = re.compile(r"\s*[,/_:]\s*|\s+in\s+|\s+|(?=[%\u2030])")
 _LONGEST = 200  # characters of a header that can be a name
 
 
@@ -99,9 +100,12 @@ def taken_apart(place: int, cell: str) -> Head:
         elif inside.strip():
             unknown.append(inside.strip())
     if plain_name(name) not in _QUANTITY and mark is None:
-        match = re.fullmatch(r"(.*?)(?:\s*[,/_:]\s*|\s+in\s+|\s+|(?=[%\u2030]))(\S+)", name.strip())
-        if match and is_unit(match[2]) and match[2] not in ("-", "1"):
-            name, mark = match[1], plain_mark(match[2])
+        name = name.strip()
+        for between in _BEFORE_UNIT.finditer(name):
+            tail = name[between.end() :]
+            if is_unit(tail) and tail not in ("-", "1"):
+                name, mark = name[: between.start()], plain_mark(tail)
+                break
     if mark is None and unknown:
         mark = unknown[-1]
     return Head(place, plain_name(name), mark, sign)
