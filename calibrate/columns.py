@@ -17,6 +17,7 @@ from calibrate.names import (
     DILATION,
     OF_ONE,
     PASCAL,
+    PORE_PRESSURE,
     RATIO,
     STRAIN,
     VOLUME,
@@ -38,6 +39,7 @@ class Measured:
 
     confining_stress: in Pa where stress_marked, otherwise as written; None where the file has none.
     strain_marked: whether the axial strain carries a unit.
+    doubts: sentences on columns that may be others than they were taken for.
     """
 
     axial_strain: np.ndarray
@@ -46,6 +48,7 @@ class Measured:
     confining_stress: np.ndarray | None
     stress_marked: bool
     strain_marked: bool
+    doubts: tuple[str, ...]
 
 
 def read_measured(path: Path, wanted: dict[str, str], unit: float | None, sign: int) -> Measured:
@@ -89,7 +92,9 @@ class _Reader:
         strain = self._strain(STRAIN)
         volume = self._volume()
         ratio, confining, marked = self._ratio()
-        return Measured(strain, ratio, volume, confining, marked, self.found[STRAIN][0].mark is not None)
+        return Measured(
+            strain, ratio, volume, confining, marked, self.found[STRAIN][0].mark is not None, self._total_stresses()
+        )
 
     def title(self, head: Head) -> str:
         return short(self.table.header[head.place], quoted=False)
@@ -97,6 +102,8 @@ class _Reader:
     def _check_there(self) -> None:
         has = [short(cell, quoted=False) for cell in self.table.header if cell]
         listed = ", ".join(has[:12]) + (f" and {len(has) - 12} more" if len(has) > 12 else "")
+        if len(has) == 1:
+            listed += " alone (commas, semicolons or tabs must stand between columns)"
         stresses = CONFINING in self.found and (AXIAL in self.found or DEVIATOR in self.found)
         for quantity in (STRAIN, RATIO, VOLUME):
             name = self.wanted.get(quantity, quantity)
@@ -225,6 +232,20 @@ class _Reader:
                     f"{again[row]:g} by {other}; remove or rename the wrong column."
                 )
         return ratio, confining, marked
+
+    def _total_stresses(self) -> tuple[str, ...]:
+        """A sentence where a column of pore pressure, not zero, stands beside stresses not said to be effective."""
+        stresses = [self.title(head) for kind in (CONFINING, AXIAL) for head in self.found.get(kind, [])]
+        effective = re.compile("effective|['\u2019\u2032]", re.IGNORECASE)
+        if RATIO in self.found or all(effective.search(one) for one in stresses):
+            return ()
+        return tuple(
+            f"'{short(cell, quoted=False)}' ({short(first, quoted=False)} in data row 1) stands beside "
+            f"{' and '.join(map(repr, stresses))}: s1/s3 is made of them as they are; if they are total stresses, "
+            "subtract the pore pressure in the file."
+            for cell, first in zip(self.table.header, self.table.rows[0], strict=True)
+            if taken_apart(0, cell).name in PORE_PRESSURE and first.strip("+-0.,")
+        )
 
     def _check_pressed(self, confining: np.ndarray, others: dict[str, np.ndarray]) -> None:
         """Stresses, compression positive by now, must be so."""

@@ -225,6 +225,7 @@ class MeasuredCurve:
         except DataError as error:
             raise DataError(f"{path.name}: {error}") from None
         found = doubts(curve.axial_strain, curve.stress_ratio, curve.volumetric_strain, read.strain_marked)
+        found += read.doubts
         if confining is not None and read.confining_stress is not None:
             found += confining.uneven(read.confining_stress)
         curve = replace(curve, warnings=tuple(f"{path.name}: {text}" for text in found))

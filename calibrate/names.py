@@ -23,6 +23,7 @@ NAMES = {
     DEVIATOR: "deviatorstress deviatoricstress devstress deviator principalstressdifference stressdifference q sigmad "
     "s1-s3 sig1-sig3 sigma1-sigma3 siga-sigr sigmaa-sigmar sigmav-sigmar",
 }
+PORE_PRESSURE = ["porepressure", "porewaterpressure", "excessporepressure", "pwp", "u", "backpressure", "cellpressure"]
 _QUANTITY = {name: quantity for quantity, names in NAMES.items() for name in names.split()}
 
 # Marks without capitals, blanks, ^, * and multiplication signs, behind the number that one unit is.

@@ -109,6 +109,9 @@ SOUND = {
         ("sigma_r[kPa]", 50 + 0 * STRAIN), ("sigma_v[kPa]", RATIO * 50),
     ),
     "R by its symbols": table(strains("eps1 [%]"), ("s1/s3", RATIO)),
+    "effective stresses": table(
+        strains(), ("s1' [kPa]", RATIO * 50), ("s3' [kPa]", 50 + 0 * STRAIN), ("u [kPa]", 200 + 0 * STRAIN)
+    ),
     "q and s3": table(strains(), ("q [kPa]", Q / 1e3), ("s3 [kPa]", 50 + 0 * STRAIN)),
     "q by its formula": table(strains(), ("(s1-s3) [kPa]", Q / 1e3), ("confining pressure [MPa]", 0.05 + 0 * STRAIN)),
     "stresses without units": with_stresses("axial_stress", 1, "confining_stress", 1),
@@ -255,6 +258,7 @@ REFUSED = {
     "no header": ("0,1\n0.1,2\n", ["first row holds numbers (0, 1)"]),
     "header in a comment": ("# " + PLAIN, ["# counts as a comment"]),
     "no stress": (table(strains(), ("load", RATIO)), ["no column 'stress_ratio'; it has axial_strain [%], load"]),
+    "blanks between": (PLAIN.replace(",", " "), ["semicolons or tabs must stand between"]),
     "no confining stress": (table(strains(), ("q [kPa]", Q)), ["confining_stress with axial_stress or with q"]),
     "only units below": ("axial_strain,stress_ratio\n%,-\n", ["a header and at least one row"]),
     "nothing": ("", ["no line"]),
@@ -309,6 +313,10 @@ LOOKS_WRONG = {
     "confining stress that is not held": (
         table(strains(), ("q [kPa]", Q / 1e3), ("s3 [kPa]", np.where(STRAIN > 0.004, 40, 50))),
         ["runs from 40000 to 50000 Pa"],
+    ),
+    "total stresses": (
+        table(strains(), ("s1 [kPa]", RATIO * 50), ("s3 [kPa]", 50 + 0 * STRAIN), ("u [kPa]", 200 + 0 * STRAIN)),
+        ["'u [kPa]' (200 in data row 1) stands beside 's3 [kPa]' and 's1 [kPa]'"],
     ),
     "padding": (
         table(

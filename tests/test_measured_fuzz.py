@@ -5,13 +5,15 @@ number of files of each kind, 150 unless set; thousands take minutes and are the
 """
 
 import os
+import re
 import warnings
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, event, given, settings
+from hypothesis import HealthCheck, assume, event, given, settings
 from hypothesis import strategies as st
 
+from calibrate.evaluate import half_rise_strain
 from calibrate.measured import DataError, MeasuredCurve
 
 CASES = int(os.environ.get("AXIJAX_FUZZ", "150"))
@@ -67,6 +69,9 @@ def tables(draw):
     end = separator * draw(st.integers(0, 2))
     lines = [separator.join(row) + end for row in rows]
     if comma:  # of the numbers; no mark or name above holds a point
+        # Where every cell with a comma could as well have thousands separators the file is refused, rightly.
+        pointed = [cell for *_, cells in columns for cell in cells if "." in cell]
+        assume(not pointed or not all(re.fullmatch(r"[1-9][0-9]{0,2}\.[0-9]{3}", cell) for cell in pointed))
         lines = [line.replace(".", ",") for line in lines]
     lines = draw(st.sampled_from([[], ["# a comment"], ["Test no. 7"], ["Test; dense, dry", ""]])) + lines
     for _ in range(draw(st.integers(0, 2))):
@@ -80,9 +85,10 @@ NASTY = [
     "", " ", "nan", "-inf", "1e999", "-1", "0", "1_0", "0x10", "1,234.5", "1.234,5", "1 234", "--3", "1e", "e5", "1D3",
     "%", "[%]", "kPa", "[", ")(", '"', '""', "'", "#", ";", ",", "\t", "\0", "\r", "\n", "\x0b", "\ufeff", "\u2028",
     "\xa0", "²", "½", "\u0661", "\U0001d7d9", "\U0001f4c8", "axial_strain", "stress_ratio [MPa]", "q", "s3", "dilation",
-    "volumetric_strain (+)", "1" * 140_000, "9" * 400, "(" * 500, "_" * 500, "5e-324", "1.7e308", "-0", "+1", ".5", "5.",
-    "=A1+B2", "#N/A",
+    "volumetric_strain (+)", "1" * 140_000, "9" * 400, "(" * 500, "_" * 500, "5e-324", "1.7e308", "-0", "+1", ".5",
+    "5.", "=A1+B2", "#N/A",
 ]  # fmt: skip
+NASTY_CELLS = st.integers(0, len(NASTY) - 1).map(NASTY.__getitem__)
 
 
 @st.composite
@@ -94,7 +100,7 @@ def damaged(draw):
         for _ in range(draw(st.integers(1, 4))):
             start = draw(st.integers(0, len(text)))
             stop = min(len(text), start + draw(st.sampled_from([0, 0, 1, 2, 5, 40])))
-            text = text[:start] + draw(st.sampled_from(NASTY)) + text[stop:]
+            text = text[:start] + draw(NASTY_CELLS) + text[stop:]
         content = text.encode("utf-8", "surrogatepass")
     else:
         for _ in range(draw(st.integers(1, 4))):
@@ -111,8 +117,8 @@ def words(*choices):
 ANYTHING = st.one_of(
     st.binary(max_size=300),
     st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass")),
-    words(",", ";", "\n", "1", "0.5", "axial_strain", "stress_ratio", "q", "s3", "[%]", "-", "kPa", "nan").map(str.encode),
-    st.lists(st.sampled_from(NASTY), max_size=12).map(
+    words(",", ";", "\n", "1", "0.5", "axial_strain", "stress_ratio", "q", "s3", "[%]", "-", "kPa").map(str.encode),
+    st.lists(NASTY_CELLS, max_size=12).map(
         lambda cells: ("axial_strain [%],stress_ratio\n0,1\n" + ",".join(cells)).encode()
     ),
 )
@@ -158,3 +164,4 @@ def test_any_file_is_read_or_refused_by_one_sentence(file, content):
     assert len(curve) >= 2 and (np.diff(curve.axial_strain) > 0).all()
     assert np.isfinite(curve.observed).all() and curve.axial_strain[0] >= 0 and curve.axial_strain[-1] < 0.5
     assert curve.stress_ratio.min() >= 0.9 and curve.stress_ratio.max() > 1
+    assert 0 <= half_rise_strain(curve.axial_strain, curve.stress_ratio) <= curve.last_strain  # what a fit begins with
