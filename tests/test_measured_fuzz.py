@@ -71,7 +71,7 @@ def tables(draw):
     if comma:  # of the numbers; no mark or name above holds a point
         # Where every cell with a comma could as well have thousands separators the file is refused, rightly.
         pointed = [cell for *_, cells in columns for cell in cells if "." in cell]
-        assume(not pointed or not all(re.fullmatch(r"[1-9][0-9]{0,2}\.[0-9]{3}", cell) for cell in pointed))
+        assume(not pointed or not all(re.fullmatch(r"-?[1-9][0-9]{0,2}\.[0-9]{3}", cell) for cell in pointed))
         lines = [line.replace(".", ",") for line in lines]
     lines = draw(st.sampled_from([[], ["# a comment"], ["Test no. 7"], ["Test; dense, dry", ""]])) + lines
     for _ in range(draw(st.integers(0, 2))):
