@@ -17,7 +17,7 @@ from axijax.hertz import Hertz
 from axijax.linear import Linear
 from axijax.material import Material
 from axijax.params import Params
-from axijax.quantity import Quantity, declared
+from axijax.quantity import Quantity, declared, optional_parts
 
 MATERIALS: dict[str, type[Material]] = {"linear": Linear, "hertz": Hertz}
 DAMPINGS: dict[str, type[Damping] | None] = {
@@ -53,7 +53,10 @@ class SceneCase(Section):
     def takes(self) -> dict[str, Quantity]:
         """The parameters that do something in this scene, by name."""
         found = {name: about for part in self.parts() for name, about in declared(part).items()}
-        return {name: about for name, about in found.items() if self.friction or name != "friction"}
+        if self.friction:
+            return found | _optional(MATERIALS[self.contact_law])
+        found.pop("friction")
+        return found
 
     def build(self) -> Scene:
         return Scene(rotation=self.rotation)
@@ -65,6 +68,11 @@ def bounds(about: Quantity) -> dict[str, float]:
     return {rule: bound for rule, bound in rules.items() if np.isfinite(bound)}
 
 
+def _optional(material: type) -> dict[str, Quantity]:
+    """The parameters of parts that are there only where one of their parameters is given."""
+    return {name: about for part in optional_parts(material).values() for name, about in declared(part).items()}
+
+
 def _parameters() -> dict[str, Any]:
     made: dict[str, Any] = {}
     for part in (Linear, Hertz, *(kind for kind in DAMPINGS.values() if kind is not None), Params):
@@ -73,6 +81,9 @@ def _parameters() -> dict[str, Any]:
             kind = float if default is not None else float | None
             told: Any = {"description": about.description, "allow_inf_nan": about.infinite, **bounds(about)}
             made[name] = kind, Field(default, **told)
+    for name, about in _optional(Linear).items():
+        told = {"description": f"{about.description}; left out with its like: no such resistance", **bounds(about)}
+        made[name] = float | None, Field(None, **told)
     return made
 
 

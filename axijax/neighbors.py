@@ -92,6 +92,14 @@ class Network:
         """Whether an update found more contacts than there is room for, as in jax-md; then make a new list."""
         return (self.status & FULL_LIST) != 0
 
+    def contact_radii(self) -> tuple[jax.Array, jax.Array]:
+        """Radii of the contacts' first and second balls [L]; () where all balls are equal."""
+        if self.pair_cube.ndim == 0:
+            radius = jnp.cbrt(2 * self.pair_cube)
+            return radius, radius
+        first, second = (self.radius.at[i].get(mode="promise_in_bounds") for i in (self.first, self.second))
+        return first, second
+
     def of_first(self, vectors: Vector) -> Vector:
         """Vectors of the balls (N,) at the contacts' first balls; (C,)."""
         return vectors.at(self.first)

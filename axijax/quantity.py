@@ -103,6 +103,16 @@ def quantity(default, meaning: str, unit: str, **about) -> Any:
     return dataclasses.field(default=default, metadata={"quantity": Quantity(meaning, unit, **about)})
 
 
+def part(kind: type, meaning: str) -> Any:
+    """A dataclass field for a part that is not there by default; giving any of its parameters by name puts it there."""
+    return dataclasses.field(default=None, metadata={"part": kind, "meaning": meaning})
+
+
+def optional_parts(tree: type | object) -> dict[str, type]:
+    """The optional parts that a part declares, there or not, by field."""
+    return {f.name: f.metadata["part"] for f in dataclasses.fields(tree) if "part" in f.metadata}  # type: ignore[arg-type]
+
+
 def setting(default, meaning: str, unit: str = "", **about) -> Any:
     """A dataclass field with this default that a case file may hold but nothing is differentiated against."""
     return dataclasses.field(default=default, metadata={"setting": Quantity(meaning, unit, **about)})
@@ -165,8 +175,11 @@ def _replaced(tree, left: dict[str, Any]):
     changes = {}
     for f in dataclasses.fields(tree):
         before = getattr(tree, f.name)
+        kind = f.metadata.get("part")
+        if before is None and kind is not None and f.name not in left and set(left) & set(declared(kind)):
+            before = kind()
         after = left.pop(f.name) if f.name in left else _replaced(before, left)
-        if after is not before:
+        if after is not getattr(tree, f.name):
             changes[f.name] = after
     return dataclasses.replace(tree, **changes) if changes else tree  # type: ignore[type-var]
 
