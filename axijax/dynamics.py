@@ -40,7 +40,7 @@ def spins(scene: Scene, params: Params) -> bool:
 
 
 def terms_of(params: Params, load: Load | None = None) -> tuple[Term, ...]:
-    """The terms of a scene in their order: contacts, walls, lateral load, and whatever else is part of the parameters."""
+    """The terms of a scene in their order: contacts, walls, lateral load, and what else is part of the parameters."""
     further = (each for each in parts_of(params) if isinstance(each, Term))
     return ContactTerm(), WallTerm(), LateralTerm(load), *further
 
