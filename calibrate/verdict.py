@@ -163,7 +163,7 @@ def _doubts(evaluator: Evaluator, best: Evaluation, residual: np.ndarray) -> lis
             doubts.append(
                 Doubt(
                     "the run stops before its peak",
-                    f"'{target.label}' is compared with a run whose stress ratio still rises at its end (strain "
+                    f"'{target.label}' is compared with a run whose largest stress ratio is at its end (strain "
                     f"{end:.3g}): that is no peak, and the parameter that fits it is wrong; run it farther with a "
                     "larger axial_strain.",
                 )
