@@ -108,13 +108,15 @@ def calibrate(
     name turns its sign.
 
     Writes fit.json, fit.png and evaluations.jsonl into the output folder; an interrupted fit resumes from the latter.
+    Ends with exit code 1 where the fit has not converged; what was found is written all the same.
     """
     from axijax.case import Case, load_case
     from axijax.results import writable_folder
     from calibrate import calibrate_file
 
     test = (Case() if case is None else load_case(case)).build()
-    calibrate_file(data, fit, test, writable_folder(output), check=check)
+    if not calibrate_file(data, fit, test, writable_folder(output), check=check).converged:
+        raise typer.Exit(1)
 
 
 def _table(rows):
