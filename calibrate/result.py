@@ -68,15 +68,14 @@ class Fit:
 
     @property
     def standard_error(self) -> Mapping[str, float]:
-        return {
-            n: float(s * self.parameters.about_of(n).coordinate_rate(v)) for (n, v), s in zip(self.estimate.items(), self._spread, strict=True)
-        }
+        rows = zip(self.estimate.items(), self.parameters.about, self._spread, strict=True)
+        return {name: float(s * about.coordinate_rate(value)) for (name, value), about, s in rows}
 
     @property
     def interval(self) -> Mapping[str, tuple[float, float]]:
+        rows = zip(self.parameters.names, self.parameters.about, self.coordinates, self._spread, strict=True)
         return {
-            n: tuple(float(self.parameters.about_of(n).from_coordinate(each)) for each in (z - s, z + s))
-            for n, z, s in zip(self.parameters.names, self.coordinates, self._spread, strict=True)
+            name: (float(about.from_coordinate(z - s)), float(about.from_coordinate(z + s))) for name, about, z, s in rows
         }
 
     def _no_error(self, place: int) -> str:

@@ -66,7 +66,8 @@ def fit_one(
     value = parameters.values(z)[name]
     # The slope before there is a secant: Thornton's 4/(1-f)^2 for friction; else a guess that only sets a first step of
     # 5 %.
-    slope = 4 / (1 - value) ** 2 * float(parameters.about_of(name).coordinate_rate(value)) if name == "friction" else None
+    rate = float(parameters.about_of(name).coordinate_rate(value))
+    slope = 4 / (1 - value) ** 2 * rate if name == "friction" else None
     points, status = [(float(z[0]), error, tried)], "stopped: too many runs"
     while True:
         if abs(error) <= goal and slope is not None and len(points) > 1:
