@@ -74,9 +74,7 @@ class Fit:
     @property
     def interval(self) -> Mapping[str, tuple[float, float]]:
         rows = zip(self.parameters.names, self.parameters.about, self.coordinates, self._spread, strict=True)
-        return {
-            name: (float(about.from_coordinate(z - s)), float(about.from_coordinate(z + s))) for name, about, z, s in rows
-        }
+        return {n: (float(each.from_coordinate(z - s)), float(each.from_coordinate(z + s))) for n, each, z, s in rows}
 
     def _no_error(self, place: int) -> str:
         """Why a parameter has no standard error."""

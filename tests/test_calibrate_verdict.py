@@ -107,10 +107,10 @@ def test_failed_starts():
 @pytest.mark.parametrize(
     "spoilt",
     [
-        lambda data: replace(data, stress_ratio=1000 * data.stress_ratio),  # kPa over MPa
+        lambda data: replace(data, stress_ratio=100 * data.stress_ratio),  # 1000 times, kPa over MPa, is refused when read
         lambda data: replace(data, axial_strain=data.axial_strain / 20),
         lambda data: replace(data, stress_ratio=data.stress_ratio[::-1] + 2),
-        lambda data: replace(data, stress_ratio=1000 * data.stress_ratio, sigma_known=True),
+        lambda data: replace(data, stress_ratio=100 * data.stress_ratio, sigma_known=True),
     ],
 )
 def test_a_misfit_far_beyond_the_uncertainty(spoilt, tmp_path):
