@@ -238,7 +238,7 @@ def test_several_bits_and_unknown_ones():
 
 def test_warnings_reach_the_terminal_and_the_file(tmp_path):
     data = measured(StandIn(), **TRUTH)
-    rows = "".join(f"{e:.9g},{1000 * r:.9g}\n" for e, r in zip(data.axial_strain, data.stress_ratio, strict=True))
+    rows = "".join(f"{e:.9g},{100 * r:.9g}\n" for e, r in zip(data.axial_strain, data.stress_ratio, strict=True))
     (tmp_path / "data.csv").write_text("axial_strain,stress_ratio\n" + rows)
     lines: list[str] = []
     found = calibrate_file(tmp_path / "data.csv", "f", StandIn(), tmp_path, check=False, report=lines.append)
