@@ -76,11 +76,14 @@ def table1(
 
         def tell(row: paper.Row) -> None:
             if not console.is_terminal:
-                print(f"{row.paper_run.name}: peak {row.values()['peak_ratio']:.4f} in {row.seconds:.1f} s", flush=True)
+                print(f"{row.paper_run.name}: {row.peak.short} in {row.seconds:.1f} s", flush=True)
 
         rows = paper.run_table(progress=advance, finished=tell)
     written = paper.save(rows, folder)
     console.print(_table(rows))
+    for row in rows:
+        if not row.peak.reached:
+            console.print(f"- {row.paper_run.name}: {row.peak}", highlight=False)
     for note in paper.NOTES:
         console.print(f"- {note}", highlight=False)
     confined = [row.run.curve.confinement for row in rows]

@@ -69,6 +69,13 @@ class Peak(NamedTuple):
         """Whether it is a peak."""
         return not self.doubt
 
+    @property
+    def short(self) -> str:
+        """The value, and why it is no peak."""
+        if self.reached:
+            return f"peak {self.stress_ratio:.4f}"
+        return f"largest so far {self.stress_ratio:.4f} ({self.doubt})"
+
     def __str__(self) -> str:
         name = "peak stress ratio" if self.reached else "largest stress ratio so far"
         told = f"{name} {self.stress_ratio:.4f} at {100 * self.axial_strain:.3f} % axial strain"

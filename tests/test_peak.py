@@ -1,8 +1,13 @@
 """Whether the largest stress ratio of a curve is a peak, against curves whose peak is known by construction."""
 
+import csv
+import json
+
 import numpy as np
 import pytest
+from cli_in_process import SMALL, axijax, write
 
+from axijax.batch_files import open_batch
 from axijax.curve import find_peak
 
 STRAIN = np.linspace(0, 0.01, 201)
@@ -66,3 +71,31 @@ def test_records_that_are_no_numbers_are_left_out():
 def test_units_of_strain_do_not_matter():
     for ratio in (RISING, humped(0.004), humped(0.0095)):
         assert find_peak(STRAIN, ratio).doubt == find_peak(100 * STRAIN, ratio).doubt
+
+
+def test_every_command_says_that_a_rising_curve_has_no_peak(tmp_path):
+    """The small case stopped halfway up, and past its peak."""
+    case = write(tmp_path / "short.toml", SMALL.replace("axial_strain = 0.012", "axial_strain = 0.003"))
+    told = axijax("run", case, "--output", tmp_path / "out")
+    assert told.code == 0 and "largest stress ratio so far" in told.out and "still rises, no peak" in told.out
+    told = axijax("check", tmp_path / "out")
+    assert "note  peak stress ratio: none within the test" in told.out and "still rises, no peak" in told.out
+    assert axijax("report", tmp_path / "out").code == 0
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "so far [-], at the last record: the curve still rises, no peak" in page
+    assert "peak stress ratio s1/s3" not in page and "at the peak" not in page
+
+    sweep = write(tmp_path / "sweep.toml", SMALL + "[sweep]\ntest.axial_strain = [0.003, 0.012]\n")
+    told = axijax("batch", sweep, "--output", tmp_path / "batch", "--workers", 1)
+    short, whole = sorted(line for line in told.out.splitlines() if line.startswith("test.axial"))
+    assert "largest so far" in short and "no peak" in short
+    assert ": peak 2.87" in whole and "no peak" not in whole
+    with open(tmp_path / "batch" / "summary.csv") as file:
+        assert [row["peak_reached"] for row in csv.DictReader(file)] == ["False", "True"]
+    assert list(open_batch(tmp_path / "batch").peak_reached.values) == [False, True]
+
+
+def test_json_lines_say_so_too(tmp_path):
+    case = write(tmp_path / "short.toml", SMALL.replace("axial_strain = 0.012", "axial_strain = 0.003"))
+    last = json.loads(axijax("run", case, "--output", tmp_path / "out", "--json").out.splitlines()[-1])
+    assert last["peak_reached"] is False and "no peak" in last["warning"]
