@@ -42,6 +42,7 @@ from axijax.time_step import DEFAULT_STEP, check_step, critical_time_step
 from axijax.update import grid_for
 
 SEGMENT = 1000  # steps between looks at the run from outside: progress, rebuilding, errors
+MOST_STEPS = 2**31 - 1  # steps are counted in 32 bits; so many take days
 CHECKPOINT_SECONDS = 60.0  # between checkpoints, where they are asked for
 
 
@@ -122,6 +123,12 @@ class TriaxialTest:
         ramp = 8 * cut.height / wave_speed(self.scene, self.params, network)
         speed = 2 * float(self.params.platen_speed)
         duration = self.axial_strain * cut.height / speed + ramp / 2
+        if not duration / step <= MOST_STEPS:
+            raise ValueError(
+                f"axial_strain = {self.axial_strain:g} takes {duration / step:.2g} steps of {step:.3g} at platen_speed = "
+                f"{float(self.params.platen_speed):g}: at most {MOST_STEPS:.2g} can be counted; raise platen_speed or "
+                "stop at a smaller strain."
+            )
         prepared = {
             "cut": cut,
             "network": network,
