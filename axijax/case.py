@@ -17,19 +17,18 @@ Names, defaults and descriptions of the fields are those of `Sector`, `Scene`, `
 exist once.
 """
 
-import difflib
 import inspect
 import re
 import textwrap
-import tomllib
 import types
 from dataclasses import fields
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_serializer, model_validator
 
+from axijax.case_reading import nearest, read_toml, sentence
 from axijax.dynamics import Params, Scene
 from axijax.packing import Specimen, fcc_cylinder, fcc_octagon, lattice_cylinder
 from axijax.sector import Sector
@@ -90,13 +89,6 @@ LEFT_OUT = {"confining_friction": "left out: none, but for a random specimen tha
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-    @model_validator(mode="after")
-    def _of_sizes_that_can_be_multiplied(self) -> Self:
-        for name, value in self:
-            if isinstance(value, float) and value != 0 and not LEAST <= abs(value) <= MOST:
-                raise ValueError(f"{name} = {value:g}: must lie between {LEAST:g} and {MOST:g} in size")
-        return self
 
 
 def _section(name: str, source: type) -> Any:
@@ -185,8 +177,8 @@ class SpecimenCase(_Section):
             across, fields = 0.91 * (self.specimen_radius / self.radius) ** 2, "specimen_radius, or a larger radius"
         if self.kind != "random" and across * self.layers > MOST_BALLS:
             raise ValueError(
-                f"kind = '{self.kind}' of {self.layers} layers would hold some {across * self.layers:.2g} balls: at most "
-                f"{MOST_BALLS:,} are allowed; take fewer layers or a smaller {fields}"
+                f"kind = '{self.kind}' of {self.layers} layers would hold some {across * self.layers:.2g} balls: at "
+                f"most {MOST_BALLS:,} are allowed; take fewer layers or a smaller {fields}"
             )
         return self
 
@@ -255,6 +247,10 @@ class Case(_Section):
 
         Raises ValueError where the fields do not fit one another; RuntimeError where a random one does not settle.
         """
+        for section, fields in self:
+            for name, value in fields:
+                if isinstance(value, float) and value != 0 and not LEAST <= abs(value) <= MOST:
+                    raise ValueError(f"{section}.{name} = {value:g}: must lie between {LEAST:g} and {MOST:g} in size.")
         if self.specimen.kind != "random":
             return self, self.specimen.build(), None
         material = self.parameters.model_dump(
@@ -312,7 +308,7 @@ def default_case(kind: str = "octagon") -> Case:
     Raises ValueError for an unknown kind.
     """
     if kind not in KINDS:
-        near = _nearest(kind, KINDS)
+        near = nearest(kind, KINDS)
         raise ValueError(f"kind = '{kind}': must be one of {', '.join(KINDS)}{f'; {near}' if near else '.'}")
     sections: dict[str, Any] = {"specimen": {"kind": kind}}
     if kind == "random":
@@ -387,75 +383,16 @@ def load_case(path: Path | str) -> Case:
     return make_case(read_toml(path), str(path))
 
 
-MOST_BYTES = 10**6  # of a case file; 10^4 is a long one
-
-
-def read_toml(path: Path | str) -> dict:
-    """What a TOML file holds. Raises ValueError where it cannot be read."""
-    try:
-        with open(path, "rb") as file:
-            text = file.read(MOST_BYTES + 1)
-        if len(text) > MOST_BYTES:
-            raise ValueError(f"case file '{path}' is larger than {MOST_BYTES:,} bytes: it is no case file.")
-        data = tomllib.loads(text.decode())
-    except OSError as error:
-        raise ValueError(f"case file '{path}' cannot be read: {error.strerror}.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"case file '{path}' is not valid TOML: {error}.") from None
-    except RecursionError:
-        raise ValueError(f"case file '{path}' is nested too deeply: it is no case file.") from None
-    except ValueError as error:
-        if "integer string conversion" not in str(error):
-            raise
-        raise ValueError(f"case file '{path}' holds a number of thousands of digits: it is no case file.") from None
-    return data
-
-
 def make_case(data: dict, source: str) -> Case:
     """A case from what a file called `source` holds. Raises ValueError like `load_case`."""
     specimen = data.get("specimen")
     if isinstance(specimen, dict) and isinstance(specimen.get("grading"), str):  # beside the case file
         data = data | {"specimen": specimen | {"grading": str(Path(source).absolute().parent / specimen["grading"])}}
         if "\0" in specimen["grading"]:
-            raise ValueError(f"case file '{source}': specimen.grading = {_repr(specimen['grading'])}: no name of a file.")
+            raise ValueError(f"case file '{source}': specimen.grading holds a zero byte: it must name a file.")
+    known = {name: model for name, (model, _) in SECTIONS.items()}
     try:
         return Case.model_validate(data)
     except ValidationError as error:
-        told = "; ".join(map(_sentence, error.errors()))
+        told = "; ".join(sentence(problem, known) for problem in error.errors())
         raise ValueError(f"case file '{source}': {told}{'' if told.endswith('?') else '.'}") from None
-
-
-def _sentence(problem) -> str:
-    where, given = ".".join(str(part) for part in problem["loc"]), problem["input"]
-    if problem["type"] == "extra_forbidden":
-        *section, name = problem["loc"]
-        known = list(SECTIONS[str(section[0])][0].model_fields if section else SECTIONS)
-        elsewhere = [f"[{other}]" for other, (model, _) in SECTIONS.items() if name in model.model_fields]
-        near = _nearest(str(name), known)
-        hint = f"it belongs to {' or '.join(elsewhere)}" if elsewhere else near or f"known are {', '.join(known)}"
-        return f"'{where}' is not a {'field' if section else 'section'}; {hint}"
-    if problem["type"] == "value_error":
-        return f"{where}.{problem['ctx']['error']}"
-    if problem["type"] == "model_type":
-        return f"{where} = {_repr(given)}: must be a section, [{where}], with its fields below"
-    told = problem["msg"].replace("Input should be", "must be")
-    for theirs, ours in (("boolean", "true or false"), ("integer", "a whole number"), ("number", "a number")):
-        told = told.replace(f"a valid {theirs}", ours)
-    if problem["type"] == "literal_error":
-        near = _nearest(str(given), re.findall(r"'([^']*)'", problem["ctx"]["expected"]))
-        told += f"; {near}" if near else ""
-    return f"{where} = {str(given).lower() if isinstance(given, bool) else _repr(given)}: {told}"
-
-
-def _repr(given) -> str:
-    """A value as it is shown in a sentence, however long it is."""
-    try:
-        shown = repr(given)
-    except (ValueError, RecursionError):  # an integer of thousands of digits, in hexadecimal
-        return "a value that is too long to be shown"
-    return shown if len(shown) <= 80 else f"{shown[:60]}.. ({len(shown)} characters)"
-
-
-def _nearest(name: str, known) -> str:
-    near = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean '{near[0]}'?" if near else ""

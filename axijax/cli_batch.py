@@ -69,7 +69,8 @@ def load_sweep(path: Path) -> "list[Member]":
     Raises ValueError, naming file and field.
     """
     from axijax.batch import Member, point_name
-    from axijax.case import make_case, read_toml
+    from axijax.case import make_case
+    from axijax.case_reading import read_toml
 
     data = read_toml(path)
     lists = _lists(path, data.pop(TABLE, None))

@@ -86,8 +86,8 @@ def _device(error: Exception) -> str:
         return ""
     if isinstance(error, AssertionError) or "initialize backend" in str(error):
         return (
-            f"JAX_PLATFORMS = '{wanted}' asks for a device that this machine, or this jaxlib, does not have: unset it, or "
-            "set it to 'cpu'."
+            f"JAX_PLATFORMS = '{wanted}' asks for a device that this machine, or this jaxlib, does not have: unset it, "
+            "or set it to 'cpu'."
         )
     return ""
 

@@ -46,7 +46,10 @@ def run(
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the result that the folder holds.")] = False,
     snapshots: Annotated[
-        int, typer.Option(min=0, help="Snapshots for ParaView, evenly over the shear (1000 steps apart at least).")
+        int,
+        typer.Option(
+            min=0, max=100_000, help="Snapshots for ParaView, evenly over the shear (1000 steps apart at least)."
+        ),
     ] = 0,
     as_json: Json = False,
 ) -> None:

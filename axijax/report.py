@@ -83,7 +83,7 @@ def write_report(results: Sequence[Result], output: Path, data: Measured | None 
     Raises ValueError for a result without a case, and OSError where the file cannot be written.
     """
     page = report_page(results, data, energy)
-    write_whole(Path(output), lambda target: target.write_text(page, encoding="utf-8"))
+    write_whole(Path(output), lambda target: target.write_text(page, encoding="utf-8", errors="backslashreplace"))
     return Path(output)
 
 

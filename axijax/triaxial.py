@@ -125,9 +125,9 @@ class TriaxialTest:
         duration = self.axial_strain * cut.height / speed + ramp / 2
         if not duration / step <= MOST_STEPS:
             raise ValueError(
-                f"axial_strain = {self.axial_strain:g} takes {duration / step:.2g} steps of {step:.3g} at platen_speed = "
-                f"{float(self.params.platen_speed):g}: at most {MOST_STEPS:.2g} can be counted; raise platen_speed or "
-                "stop at a smaller strain."
+                f"axial_strain = {self.axial_strain:g} takes {duration / step:.2g} steps of {step:.3g} at platen_speed "
+                f"= {float(self.params.platen_speed):g}: at most {MOST_STEPS:.2g} can be counted; raise platen_speed "
+                "or stop at a smaller strain."
             )
         prepared = {
             "cut": cut,
