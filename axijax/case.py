@@ -247,8 +247,8 @@ class Case(_Section):
 
         Raises ValueError where the fields do not fit one another; RuntimeError where a random one does not settle.
         """
-        for section, fields in self:
-            for name, value in fields:
+        for section, values in self:
+            for name, value in values:
                 if isinstance(value, float) and value != 0 and not LEAST <= abs(value) <= MOST:
                     raise ValueError(f"{section}.{name} = {value:g}: must lie between {LEAST:g} and {MOST:g} in size.")
         if self.specimen.kind != "random":

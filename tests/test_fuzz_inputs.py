@@ -104,7 +104,11 @@ def toml(value):
 @st.composite
 def cases(draw):
     """A small case with a few fields changed to anything, or to a number that is allowed."""
-    changed = {"specimen": {"kind": draw(st.sampled_from(list(KINDS))), "layers": 3}}
+    kind = draw(st.sampled_from(list(KINDS)))
+    small = {"octagon": {"half_width": 3, "layers": 2}, "random": {}}.get(kind, {"specimen_radius": 80.0, "layers": 2})
+    changed = {"specimen": {"kind": kind, **small}}
+    if kind == "hcp":
+        changed["sector"] = {"order": 3}
     for section, name in draw(st.lists(st.sampled_from(FIELDS), max_size=4)):
         scale = draw(st.sampled_from([1e-20, 1e-3, 1.0, 1e3, 1e20]))
         value = draw(st.one_of(VALUES, st.floats(0.1, 10).map(lambda number, scale=scale: number * scale)))
