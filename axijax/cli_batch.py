@@ -1,6 +1,7 @@
 """`axijax batch`: a case file with lists, run as a batch."""
 
 import itertools
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +11,7 @@ if TYPE_CHECKING:
     from axijax.batch import Member
 
 TABLE = "sweep"
+MOST_MEMBERS = 10_000  # each is prepared before the first one runs, in a tenth of a second or more
 
 
 def batch(
@@ -74,6 +76,12 @@ def load_sweep(path: Path) -> "list[Member]":
 
     data = read_toml(path)
     lists = _lists(path, data.pop(TABLE, None))
+    count = math.prod(map(len, lists.values()))
+    if count > MOST_MEMBERS:
+        raise ValueError(
+            f"sweep file '{path}' asks for {count:,} tests: at most {MOST_MEMBERS:,} are run at once; shorten its "
+            "lists."
+        )
     members = []
     for values in itertools.product(*lists.values()):
         point = dict(zip(lists, values, strict=True))

@@ -124,6 +124,8 @@ def nothing(folder):
     pass
 
 
+SWEPT = ("friction", "damping_ratio", "local_damping")
+
 # What is given; how; the words that the sentence must hold. Exit code 1, or 2 for the command line itself.
 CASES = {
     # Case files.
@@ -180,6 +182,13 @@ CASES = {
     "friction of 1e-300": (run("[parameters]\nfriction = 1e-300"), ["friction = 1e-300", "1e-30 and 1e+30"]),
     "platens that take a lifetime": (run("[parameters]\nplaten_speed = 1e-20"), ["steps", "raise platen_speed"]),
     "a file without an end": (lambda folder, _: ("run", "/dev/zero"), ["/dev/zero", "larger than", "no case file"]),
+    "a sweep of a million million": (
+        lambda folder, _: (
+            "batch",
+            write(folder / "s.toml", "[sweep.parameters]\n" + "\n".join(f"{n} = {[0.1] * 10**4}" for n in SWEPT)),
+        ),
+        ["s.toml", "1,000,000,000,000 tests", "10,000"],
+    ),
     "two mistakes at once": (
         run("[sector]\norder = 0\n[test]\naxial_strain = 2"),
         ["sector.order = 0", "test.axial_strain = 2"],

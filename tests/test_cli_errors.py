@@ -81,7 +81,7 @@ def test_no_home(monkeypatch):
     assert "no home folder" in str(caught[0].message)
 
 
-class Other(Exception):
+class OtherError(Exception):
     pass
 
 
@@ -90,7 +90,7 @@ WRONG = {
     "no memory on a device": (RuntimeError("RESOURCE_EXHAUSTED: Out of memory\nallocating 5"), 1, "not enough memory"),
     "nested": (RecursionError(), 1, "nested too deeply"),
     "interrupted": (KeyboardInterrupt(), 130, "interrupted"),
-    "a fault of ours": (Other("two\nlines"), 1, "internal error, Other (two lines): this is a fault of axijax"),
+    "a fault of ours": (OtherError("two\nlines"), 1, "internal error, OtherError (two lines): this is a fault of"),
     "number too large": (OverflowError("int too large"), 1, "internal error, OverflowError"),
     "of the system": (PermissionError(13, "Permission denied", "x.csv"), 1, "'x.csv' cannot be read or written (Perm"),
     "two lines": (ValueError("one\ntwo."), 1, "one two."),
@@ -113,9 +113,9 @@ def test_the_traceback_of_a_fault_of_ours_can_be_seen(monkeypatch):
     monkeypatch.setenv("AXIJAX_TRACEBACK", "1")
 
     def work():
-        raise Other
+        raise OtherError
 
-    with pytest.raises(Other):
+    with pytest.raises(OtherError):
         guarded(work, [])
 
 
