@@ -174,7 +174,8 @@ class SpecimenCase(_Section):
         if self.kind == "octagon":
             across, fields = 0.83 * self.half_width**2, "half_width"
         else:
-            across, fields = 0.91 * (self.specimen_radius / self.radius) ** 2, "specimen_radius, or a larger radius"
+            ratio = self.specimen_radius / self.radius  # a power would raise OverflowError where a product is infinite
+            across, fields = 0.91 * ratio * ratio, "specimen_radius, or a larger radius"
         if self.kind != "random" and across * self.layers > MOST_BALLS:
             raise ValueError(
                 f"kind = '{self.kind}' of {self.layers} layers would hold some {across * self.layers:.2g} balls: at "

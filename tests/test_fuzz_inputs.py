@@ -134,6 +134,19 @@ def test_any_case_file_is_accepted_or_refused(tmp_path_factory, text):
     shutil.rmtree(folder)
 
 
+@pytest.mark.parametrize("value", [10**20, -(10**20), 99999, 2**31, 1e300, 1e-300, "\0"])
+def test_the_same_awkward_value_in_each_field(tmp_path, value):
+    """What the fuzz meets only now and then."""
+    kinds = {name: kind for kind, (names, _) in KINDS.items() for name in names}
+    for section, name in FIELDS:
+        kind = kinds.get(name, "octagon") if section == "specimen" else "octagon"
+        lines = [f"kind = '{kind}'", *(["half_width = 3", "layers = 2"] if kind == "octagon" else [])]
+        lines = [line for line in lines if not line.startswith(f"{name} ")]
+        head = "" if section == "specimen" else f"[{section}]\n"
+        text = "[specimen]\n" + "\n".join(lines) + f"\n{head}{name} = {toml(value)}\n"
+        assert told("run", write(tmp_path / "case.toml", text), "--output", tmp_path / "out").code != 0
+
+
 @FUZZ
 @given(st.one_of(st.binary(max_size=200), st.text(max_size=200).map(lambda text: text.encode("utf-8", "replace"))))
 def test_any_bytes_are_no_case_file(tmp_path_factory, content):
