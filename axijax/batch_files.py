@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from axijax.curve import RECORDS, Confinement, Curve
+from axijax.curve import RECORDS, Confinement, Curve, find_peak
 from axijax.fingerprint import differences, fingerprint, versions
 from axijax.params import Params
 from axijax.quantity import values_of
@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 MEMBERS = "members"  # the folder of the members' files
 FAILED = ".failed.json"
-PEAK = ("peak_ratio", "core_ratio_at_peak", "virial_ratio_at_peak", "axial_strain_at_peak")
+READ_ERRORS = (OSError, TypeError, ValueError, KeyError, IndexError, AttributeError, EOFError, MemoryError)
+PEAK = ("peak_ratio", "core_ratio_at_peak", "virial_ratio_at_peak", "axial_strain_at_peak", "peak_reached")
 
 
 @dataclass(frozen=True)
@@ -43,10 +44,12 @@ class Stored:
         """Its curve with dimension record, and everything else as scalar coordinates and attributes."""
         assert self.curve is not None
         curve = self.curve
-        peak = int(np.argmax(np.asarray(curve.stress_ratio)))
-        at_peak = [
-            float(getattr(curve, n)[peak]) for n in ("stress_ratio", "core_ratio", "virial_ratio", "axial_strain")
+        peak = find_peak(curve.axial_strain, curve.stress_ratio)
+        at_peak: list[float | bool] = [
+            float(getattr(curve, n)[peak.record])
+            for n in ("stress_ratio", "core_ratio", "virial_ratio", "axial_strain")
         ]
+        at_peak.append(peak.reached)
         scalars = {name: float(value) for name, value in values_of(self.params).items() if np.ndim(value) == 0}
         # A label says what was asked for; a parameter of the same name is the same number.
         about = scalars | self.labels | dict(zip(PEAK, at_peak, strict=True)) | {"seconds": self.seconds}
@@ -178,6 +181,13 @@ def _load(file: Path) -> "xarray.Dataset":
     import xarray
 
     try:
-        return xarray.load_dataset(file, engine="scipy")
-    except (OSError, TypeError, ValueError, KeyError) as error:
-        raise ValueError(f"'{file}' is damaged or no member of a batch ({error}): delete it.") from None
+        data = xarray.load_dataset(file, engine="scipy")
+        sound = all(data[name].dims == ("member", "record") for name in RECORDS) and data.sizes["member"] == 1
+        labels, confinement = (json.loads(data.attrs[name]) for name in ("labels", "confinement"))
+        sound = sound and all(data[name].dims == ("member",) for name in (*labels, *PEAK, "seconds"))
+        sound = sound and len(confinement) == len(Confinement._fields) and np.isfinite(confinement).all()
+    except READ_ERRORS:
+        sound = False
+    if not sound:
+        raise ValueError(f"'{file}' is damaged, or no member of a batch of this version of axijax: delete it.")
+    return data

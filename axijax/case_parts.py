@@ -64,7 +64,8 @@ class SceneCase(Section):
 
 def bounds(about: Quantity) -> dict[str, float]:
     """What pydantic is to allow."""
-    rules = {"ge": about.least if about.least > about.above else -np.inf, "gt": about.above, "lt": about.below}
+    least = about.least if about.least > about.above else -np.inf
+    rules = {"ge": least, "gt": about.above, "lt": about.below, "le": about.most}
     return {rule: bound for rule, bound in rules.items() if np.isfinite(bound)}
 
 

@@ -1,6 +1,5 @@
 """The command line. Heavy imports happen inside the commands, so that --help is quick."""
 
-import shlex
 import sys
 import warnings
 from collections.abc import Callable
@@ -11,6 +10,7 @@ import typer
 
 from axijax.cli_batch import batch
 from axijax.cli_check import check
+from axijax.cli_errors import guarded
 from axijax.cli_pictures import plot, report, snapshot
 from axijax.cli_run import new, resume, run
 
@@ -76,11 +76,14 @@ def table1(
 
         def tell(row: paper.Row) -> None:
             if not console.is_terminal:
-                print(f"{row.paper_run.name}: peak {row.values()['peak_ratio']:.4f} in {row.seconds:.1f} s", flush=True)
+                print(f"{row.paper_run.name}: {row.peak.short} in {row.seconds:.1f} s", flush=True)
 
         rows = paper.run_table(progress=advance, finished=tell)
     written = paper.save(rows, folder)
     console.print(_table(rows))
+    for row in rows:
+        if not row.peak.reached:
+            console.print(f"- {row.paper_run.name}: {row.peak}", highlight=False)
     for note in paper.NOTES:
         console.print(f"- {note}", highlight=False)
     confined = [row.run.curve.confinement for row in rows]
@@ -174,22 +177,14 @@ def main(arguments: list[str] | None = None) -> int:
     1: something went wrong, or a check failed. 2: the command line itself. 130: interrupted, with the way to go on.
     """
     given = sys.argv[1:] if arguments is None else arguments
-    warnings.showwarning = lambda message, *_: print(f"axijax: warning: {message}", file=sys.stderr)
-    if given and "--help" not in given:  # help does without JAX, which takes a second to import
-        from axijax.platform import fast_cpu_kernels, use_compilation_cache
 
-        fast_cpu_kernels()
-        use_compilation_cache()
-    try:
-        return app(given, standalone_mode=False) or 0
-    except (ValueError, RuntimeError, OSError) as error:
-        print(f"axijax: {error}", file=sys.stderr)
-        return 1
-    except Exception as error:
-        if not hasattr(error, "format_message"):  # not the command line's own kind
-            raise
-        if error.format_message():  # nothing after a bare `axijax`, which shows its help
-            print(
-                f"axijax: {error.format_message().rstrip('.')}; given was: axijax {shlex.join(given)}", file=sys.stderr
-            )
-        return 2
+    def work() -> int | None:
+        warnings.showwarning = lambda message, *_: print(f"axijax: warning: {message}", file=sys.stderr)
+        if given and "--help" not in given:  # help does without JAX, which takes a second to import
+            from axijax.platform import fast_cpu_kernels, use_compilation_cache
+
+            fast_cpu_kernels()
+            use_compilation_cache()
+        return app(given, standalone_mode=False)
+
+    return guarded(work, given)

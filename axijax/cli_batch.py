@@ -1,6 +1,7 @@
 """`axijax batch`: a case file with lists, run as a batch."""
 
 import itertools
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +11,7 @@ if TYPE_CHECKING:
     from axijax.batch import Member
 
 TABLE = "sweep"
+MOST_MEMBERS = 10_000  # each is prepared before the first one runs, in a tenth of a second or more
 
 
 def batch(
@@ -69,10 +71,17 @@ def load_sweep(path: Path) -> "list[Member]":
     Raises ValueError, naming file and field.
     """
     from axijax.batch import Member, point_name
-    from axijax.case import make_case, read_toml
+    from axijax.case import make_case
+    from axijax.case_reading import read_toml
 
     data = read_toml(path)
     lists = _lists(path, data.pop(TABLE, None))
+    count = math.prod(map(len, lists.values()))
+    if count > MOST_MEMBERS:
+        raise ValueError(
+            f"sweep file '{path}' asks for {count:,} tests: at most {MOST_MEMBERS:,} are run at once; shorten its "
+            "lists."
+        )
     members = []
     for values in itertools.product(*lists.values()):
         point = dict(zip(lists, values, strict=True))
@@ -102,8 +111,10 @@ def _lists(path: Path, table) -> dict[tuple[str, str], list]:
 
 
 def _line(outcome) -> str:
+    from axijax.curve import find_peak
+
     name = outcome.member.name
     if outcome.failure is not None:
         return f"{name}: failed, {outcome.failure}"
-    peak = float(outcome.curve.stress_ratio.max())
-    return f"{name}: peak {peak:.4f} " + ("(there already)" if outcome.resumed else f"in {outcome.seconds:.1f} s")
+    peak = find_peak(outcome.curve.axial_strain, outcome.curve.stress_ratio)
+    return f"{name}: {peak.short} " + ("(there already)" if outcome.resumed else f"in {outcome.seconds:.1f} s")

@@ -46,7 +46,10 @@ def run(
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the result that the folder holds.")] = False,
     snapshots: Annotated[
-        int, typer.Option(min=0, help="Snapshots for ParaView, evenly over the shear (1000 steps apart at least).")
+        int,
+        typer.Option(
+            min=0, max=100_000, help="Snapshots for ParaView, evenly over the shear (1000 steps apart at least)."
+        ),
     ] = 0,
     as_json: Json = False,
 ) -> None:
@@ -152,12 +155,10 @@ class _Live:
 
     def finished(self, run: "Run") -> None:
         """The last word."""
-        peak = run.curve.stress_ratio.argmax()
-        self.show(
-            "finished",
-            f"peak stress ratio {run.curve.stress_ratio[peak]:.4f} at {100 * run.curve.axial_strain[peak]:.3f} % axial "
-            f"strain; {time.perf_counter() - self.started:.1f} s; result in {self.folder}",
-        )
+        from axijax.curve import find_peak
+
+        peak = find_peak(run.curve.axial_strain, run.curve.stress_ratio)
+        self.show("finished", f"{peak}; {time.perf_counter() - self.started:.1f} s; result in {self.folder}")
 
 
 class _PlainLines(_Live):
@@ -237,12 +238,16 @@ class _JsonLines(_Live):
         )
 
     def finished(self, run: "Run") -> None:
-        peak = int(run.curve.stress_ratio.argmax())
+        from axijax.curve import find_peak
+
+        peak = find_peak(run.curve.axial_strain, run.curve.stress_ratio)
         self.say(
             event="finished",
             result=str(self.folder),
-            peak_stress_ratio=float(run.curve.stress_ratio[peak]),
-            axial_strain_at_peak=float(run.curve.axial_strain[peak]),
+            peak_stress_ratio=peak.stress_ratio,
+            axial_strain_at_peak=peak.axial_strain,
+            peak_reached=peak.reached,
+            **({} if peak.reached else {"warning": str(peak)}),
         )
 
     def __exit__(self, kind, error, trace) -> None:

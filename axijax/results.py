@@ -230,7 +230,7 @@ def open_results(path: str | Path) -> list[Result]:
         return [Result(path, name, curve, "finished", {}) for name, curve in _read_curves(path)]
     if not path.is_dir():
         raise ValueError(f"result '{path}' does not exist: give the folder that `axijax run` made, or its curve.nc.")
-    info = _read_info(path)
+    info = read_info(path)
     # A run that went wrong keeps its curve, faulty end and all, under another name.
     kept = [path / name for name in ("curve.nc", "partial_curve.nc") if (path / name).is_file()]
     if kept:
@@ -267,35 +267,70 @@ def _name(folder: Path) -> str:
     return folder.resolve().name
 
 
-def _read_info(folder: Path) -> dict[str, Any]:
-    path = folder / "run.json"
+def read_info(folder: Path, needed: Sequence[str] = ("status",)) -> dict[str, Any]:
+    """What run.json says, empty where there is none. Raises ValueError where it is damaged, or lacks what is needed."""
+    path = Path(folder) / "run.json"
     if not path.is_file():
         return {}
     try:
-        info = json.loads(path.read_text())
-        known = isinstance(info, dict) and info.get("status") in STATUSES
-    except (OSError, ValueError):
-        known = False
-    if not known:
+        if path.stat().st_size > MOST_BYTES:
+            raise ValueError("too long")
+        info = json.loads(path.read_text(encoding="utf-8"))
+        wrong = "it is no object" if not isinstance(info, dict) else _mistyped(info, needed)
+    except (OSError, ValueError, RecursionError):
+        wrong = "it is no JSON"
+    if wrong:
         raise ValueError(
-            f"result '{folder}': its run.json is damaged or says no status ({', '.join(STATUSES)}); run the case again."
+            f"result '{folder}': its run.json is damaged ({wrong}); run the case again, with --overwrite."
         )
     return info
+
+
+MOST_BYTES = 10**7  # of a run.json; a long one has a few thousand
+
+# What run.json holds, and how each must be.
+INFO: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "status": (lambda v: isinstance(v, str) and v in STATUSES, f"one of {', '.join(STATUSES)}"),
+    "name": (lambda v: isinstance(v, str), "a text"),
+    "message": (lambda v: isinstance(v, str), "a text"),
+    "seconds": (lambda v: _is_number(v) and 0 <= v < 1e12, "a number of seconds"),
+    "axial_strain": (lambda v: _is_number(v) and -1 < v < 1, "a strain"),
+    "resumed": (lambda v: isinstance(v, int) and _is_number(v) and 0 <= v < 10**9, "a whole number"),
+    "snapshots": (lambda v: isinstance(v, int) and _is_number(v) and 0 <= v <= MOST_SNAPSHOTS, "a whole number"),
+}
+MOST_SNAPSHOTS = 100_000
+
+
+def _is_number(value) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _mistyped(info: Mapping[str, Any], needed: Sequence[str]) -> str:
+    """What of run.json is not there, or not what it must be; empty where all is well."""
+    for name, (fits, allowed) in INFO.items():
+        if name not in info and name in needed:
+            return f"'{name}' is missing"
+        if name in info and not fits(info[name]):
+            return f"'{name}' must be {allowed}"
+    return ""
 
 
 def _read_curves(path: Path) -> list[tuple[str, "xarray.Dataset"]]:
     import xarray
 
+    runs: list[tuple[str, xarray.Dataset]] = []
     try:
         with xarray.open_dataset(path, engine="scipy") as file:
             curves = file.load()
         names = [str(name) for name in curves["run"].values]
-        known = all(curves[name].dims == ("run", "record") for name in RECORDS) and curves.sizes["record"] > 0
-    except (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError):
+        known = all(curves[name].dims == ("run", "record") for name in RECORDS)
+        numbers = [*RECORDS, *(name for name in CONFINEMENT if name in curves)]
+        known = known and all(curves[name].dtype.kind in "fi" for name in numbers)
+        for number, name in enumerate(names if known else ()):
+            run = curves.isel(run=number, drop=True)
+            runs.append((name, run.isel(record=np.isfinite(run.axial_strain.values))))
+    except Exception:  # the readers of SciPy and xarray raise whatever a damaged file leads them to
         known = False
-    if not known:
+    if not known or not runs or not all(run.sizes["record"] for _, run in runs):
         raise ValueError(f"result '{path}' is damaged or no file of curves of axijax (NetCDF): run the case again.")
-    runs = [curves.isel(run=number, drop=True) for number in range(len(names))]
-    return [
-        (name, run.isel(record=np.isfinite(run.axial_strain.values))) for name, run in zip(names, runs, strict=True)
-    ]
+    return runs

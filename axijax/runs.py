@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from axijax import results
 from axijax.case import Case, load_case, to_toml
 from axijax.checkpoint import load_progress
 from axijax.curve import SimulationError
@@ -118,19 +119,9 @@ def resume(folder: Path, tell: Tell = lambda test, now: None, axial_strain: floa
 
 def read_info(folder: Path) -> dict[str, Any]:
     """What run.json says. Raises ValueError where there is none, or it is damaged."""
-    path = Path(folder) / "run.json"
-    try:
-        info = json.loads(path.read_text())
-        known = {"status", "name", "message", "seconds", "resumed", "axial_strain"} <= set(info)
-    except OSError as error:
-        raise ValueError(
-            f"'{folder}' is no result of axijax: its run.json cannot be read ({error.strerror})."
-        ) from None
-    except (ValueError, TypeError):
-        known = False
-    if not known:
-        raise ValueError(f"result '{folder}': its run.json is damaged; run the case again, with --overwrite.")
-    return info
+    if not (Path(folder) / "run.json").is_file():
+        raise ValueError(f"'{folder}' is no result of axijax: it holds no run.json.")
+    return results.read_info(folder, needed=tuple(results.INFO))
 
 
 def _strain_wanted(folder: Path, info: dict[str, Any], reached: float, wanted: float | None) -> float:
@@ -233,10 +224,12 @@ def _refuse_to_overwrite(folder: Path) -> None:
 def _check_same_parameters(folder: Path, test: TriaxialTest, start: Progress) -> None:
     """A checkpoint goes on with its own parameters; a changed case file would say otherwise."""
     for name, value in values_of(test.params).items():
-        if value != getattr(start.params, name):
+        run_with = np.asarray(getattr(start.params, name))
+        if run_with.shape != () or value != run_with:
+            shown = f"{run_with:g}" if run_with.shape == () else f"{run_with.size} values"
             raise ValueError(
                 f"result '{folder}': its case.toml says parameters.{name} = {value:g}, but it was run with "
-                f"{getattr(start.params, name):g}; put that back, or run the changed case into another folder."
+                f"{shown}; put that back, or run the changed case into another folder."
             )
 
 

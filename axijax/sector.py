@@ -38,7 +38,7 @@ class Sector:
     """
 
     order: int = setting(
-        4, "number n of sectors in the full cylinder, each of theta in [0, 2*pi/n)", "-", least=1, whole=True
+        4, "number n of sectors in the full cylinder, each of theta in [0, 2*pi/n)", "-", least=1, most=1000, whole=True
     )
     boundary: Boundary = setting(
         "periodic", '"periodic" (images are rotations) or "rigid" (frictionless planes at theta = 0 and 2*pi/n)'

@@ -12,9 +12,10 @@ from axijax.packing import Specimen
 from axijax.params import Params
 from axijax.paths import Isotropic
 from axijax.prepare import Prepared
+from axijax.quantity import senseless
 from axijax.rebuild import rebuilt
 from axijax.state import State
-from axijax.status import NOT_CONFINED
+from axijax.status import NOT_CONFINED, SENSELESS
 
 CONFINE_EVERY = 50  # steps between looks at the balance, and between refreshes of the membrane, in confinement
 
@@ -97,6 +98,7 @@ def simulate(prepared: Prepared, params: Params) -> Curve:
     _, seen, status = march(prepared.scene, prepared.shear, *size, lists, dt, params, start, fixed)
     settled = balance.worst <= prepared.confinement.tolerance
     status = jnp.bitwise_or.reduce(status) | jnp.where(settled, 0, NOT_CONFINED)
+    status |= jnp.where(senseless(params), SENSELESS, 0)
     return make_curve(seen, balance, status)
 
 

@@ -23,7 +23,7 @@ from axijax.dynamics import Scene
 from axijax.membrane import Load, Membrane
 from axijax.neighbors import Network
 from axijax.packing import Specimen, cut_to_sector
-from axijax.params import Params
+from axijax.params import Params, check_params
 from axijax.platform import warn_where_batched
 from axijax.prepare import Prepared, prepare
 from axijax.progress import Progress, Run, begin, curve_of, go_on
@@ -62,15 +62,16 @@ class TriaxialTest:
     time_step: float | None = setting(
         None, "length of a step; left out, 0.6 of the critical one; more than 0.8 of it is refused", "T", above=0.0
     )
-    record_every: int = setting(50, "steps between records", "-", least=1, whole=True)
+    record_every: int = setting(50, "steps between records", "-", least=1, most=1e6, whole=True)
     refresh: bool = setting(True, "whether the membrane's cells are found again with every record")
-    confine_steps: int = setting(20_000, "most steps spent on confinement", "-", least=1, whole=True)
+    confine_steps: int = setting(20_000, "most steps spent on confinement", "-", least=1, most=1e9, whole=True)
     tolerance: float = setting(1e-7, "unbalanced force and stress error at which confinement ends", "-", above=0.0)
     rebuild_every: int = setting(
         0,
         "records between which `simulate` rebuilds contact list and membrane during shear, for large strain and for "
         "batches; zero keeps the first. `run` looks when they are worn instead",
         "-",
+        most=1e6,
         whole=True,
     )
     confining_friction: float = setting(
@@ -117,13 +118,17 @@ class TriaxialTest:
 
         For many parameter sets see `axijax.batch.simulate_many`: on a CPU, vmap over parameters is slow, and warned of.
         One contact list serves the whole test, which is right up to about 2 % strain, unless `rebuild_every` asks for
-        more. Look at `status` of what comes back, or call `raise_for_status`.
+        more. Look at `status` of what comes back, or call `raise_for_status`; parameters that make no sense raise
+        ValueError, or set a status bit where they are traced.
         """
+        check_params(params, len(self.cut))
         return simulate(self.prepared, warn_where_batched(params))
 
     def confine(self, params: Params | None = None) -> tuple[State, Confinement]:
         """The state at the end of confinement, and how well it is balanced."""
-        return confine(self.prepared, self.params if params is None else params)
+        params = self.params if params is None else params
+        check_params(params, len(self.cut))
+        return confine(self.prepared, params)
 
     def run(
         self,

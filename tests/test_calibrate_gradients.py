@@ -11,12 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from axijax.platens import wall_force
 from calibrate_standin import StandIn
 
 from axijax.dynamics import Params, Scene
 from axijax.lattice import lattice_load
 from axijax.packing import fcc_octagon
-from axijax.platens import wall_force
 from axijax.sector import Sector
 from axijax.triaxial import TriaxialTest
 from calibrate.descent import fit_friction_per_ball

@@ -7,16 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from axijax.confinement import current_load
+from axijax.shear import platen_ramp, start_shear
 from few_balls import PLANE, constant_load, few_balls, jit, no_load, order_of, still, unit_params
 
-from axijax.confinement import current_load
 from axijax.dynamics import Params, Scene, initial_state, make_step
 from axijax.energy import EnergyBalance, energy_balance, make_ledger_step, open_ledger
 from axijax.membrane import Load
 from axijax.neighbors import build_network
 from axijax.packing import Specimen, cut_to_sector, fcc_octagon
 from axijax.sector import Sector
-from axijax.shear import platen_ramp, start_shear
 from axijax.theory import dashpot_restitution, local_damping_restitution, slide_to_roll
 from axijax.triaxial import TriaxialTest
 from axijax.vector import from_rows

@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from axijax.contact import Law, contact_forces
 from few_balls import FAR, PLANE, constant_load, few_balls, jit, no_load, order_of, record, run, unit_params
 from scipy.spatial.transform import Rotation
 
-from axijax.contact import Law, contact_forces
 from axijax.dynamics import Scene
 from axijax.theory import (
     dashpot_duration,

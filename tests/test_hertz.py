@@ -11,12 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from axijax.contact import Geometry, contact_forces, elastic_force, frictional_law, frictionless_force
 from few_balls import PLANE, few_balls, jit, no_load, record, run, still, unit_params
 from jax.flatten_util import ravel_pytree
 from scipy.integrate import quad, solve_ivp
 from test_lattices import block, stress_after, unstrained
 
-from axijax.contact import Geometry, contact_forces, elastic_force, frictional_law, frictionless_force
 from axijax.curve import raise_for_status
 from axijax.dynamics import (
     Params,

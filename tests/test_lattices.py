@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from axijax.contact import Law, contact_forces, geometry
 from few_balls import jit, no_load, run, unit_params
 
-from axijax.contact import Law, contact_forces, geometry
 from axijax.dynamics import Scene, all_forces, initial_state, positions
 from axijax.membrane import membrane_load
 from axijax.neighbors import Network, build_network

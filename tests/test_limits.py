@@ -184,6 +184,7 @@ def test_a_ball_squeezed_out_is_loaded_but_does_not_carry_the_radius_away():
 def test_float32_keeps_the_overlap_only_by_displacements():
     """At these coordinates float32 positions miss an overlap by 2e-3 of it, displacements by a hundredth of that."""
     from axijax.contact import geometry
+
     from axijax.neighbors import build_network
 
     cut = cut_to_sector(fcc_octagon(), Sector(4))

@@ -6,8 +6,8 @@ from functools import lru_cache
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
 from axijax.contact import geometry
+
 from axijax.dynamics import Params, Scene, all_forces, initial_state, positions
 from axijax.grading import linear, sieve_curve, two_sizes, uniform
 from axijax.membrane import build_membrane, lateral_force, membrane_load

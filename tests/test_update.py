@@ -8,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from axijax.confinement import current_load
 from test_neighbors import ANY_OVERLAP, every_pair, from_both_sides, listed, random_balls
 
 from axijax import triaxial
-from axijax.confinement import current_load
 from axijax.curve import SimulationError
 from axijax.dynamics import Params
 from axijax.neighbors import build_network, carry_springs

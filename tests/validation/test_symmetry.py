@@ -3,12 +3,12 @@
 import jax
 import numpy as np
 import pytest
+from axijax.shear import platen_ramp
 
 from axijax import Sector, TriaxialTest, fcc_octagon, raise_for_status
 from axijax.dynamics import initial_state, make_step, positions
 from axijax.membrane import membrane_load
 from axijax.packing import cut_to_sector
-from axijax.shear import platen_ramp
 
 ORDERS = (1, 2, 4)
 
