@@ -22,8 +22,8 @@ import numpy as np
 from axijax.confinement import Confinement
 from axijax.curve import no_records
 from axijax.dynamics import initial_state
+from axijax.folder import write_whole
 from axijax.membrane import Load
-from axijax.results import write_whole
 from axijax.triaxial import Progress, TriaxialTest
 
 FORMAT = "axijax shear in progress"

@@ -11,6 +11,7 @@ import typer
 
 from axijax.cli_batch import batch
 from axijax.cli_check import check
+from axijax.cli_errors import UNHEARD, complain, filling, heard
 from axijax.cli_pictures import plot, report, snapshot
 from axijax.cli_run import new, resume, run
 
@@ -53,10 +54,11 @@ def table1(
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from axijax import table1 as paper
-    from axijax.results import writable_folder
+    from axijax.folder import writable_folder
 
     started = time.perf_counter()
     folder = writable_folder(output)
+    paper.refuse_to_overwrite(folder)
     console = Console()
     if not console.is_terminal:
         console.width = 120
@@ -78,8 +80,10 @@ def table1(
             if not console.is_terminal:
                 print(f"{row.paper_run.name}: peak {row.values()['peak_ratio']:.4f} in {row.seconds:.1f} s", flush=True)
 
-        rows = paper.run_table(progress=advance, finished=tell)
-    written = paper.save(rows, folder)
+        with filling(folder, "run it again"):
+            rows = paper.run_table(progress=advance, finished=tell)
+    with filling(folder, "run it again"):
+        written = paper.save(rows, folder)
     console.print(_table(rows))
     for note in paper.NOTES:
         console.print(f"- {note}", highlight=False)
@@ -105,11 +109,13 @@ def calibrate(
     Writes fit.json, fit.png and evaluations.jsonl into the output folder; an interrupted fit resumes from the latter.
     """
     from axijax.case import Case, load_case
-    from axijax.results import writable_folder
+    from axijax.folder import writable_folder
     from calibrate import calibrate_file
 
     test = (Case() if case is None else load_case(case)).build()
-    calibrate_file(data, fit, test, writable_folder(output), check=check)
+    folder = writable_folder(output)
+    with filling(folder, "run it again, and what is in evaluations.jsonl is not computed again"):
+        calibrate_file(data, fit, test, folder, check=check)
 
 
 def _table(rows):
@@ -165,24 +171,28 @@ def main(arguments: list[str] | None = None) -> int:
     """Entry point: a mistake of the user's, or a run that went wrong, ends in one sentence and an exit code.
 
     1: something went wrong, or a check failed. 2: the command line itself. 130: interrupted, with the way to go on.
+    141: nothing reads what is printed any more.
     """
     given = sys.argv[1:] if arguments is None else arguments
-    warnings.showwarning = lambda message, *_: print(f"axijax: warning: {message}", file=sys.stderr)
+    warnings.showwarning = lambda message, *_: complain(f"warning: {message}")
     if given and "--help" not in given:  # help does without JAX, which takes a second to import
         from axijax.platform import fast_cpu_kernels, use_compilation_cache
 
         fast_cpu_kernels()
         use_compilation_cache()
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # names of files need not be text, and not every terminal takes every text
+            stream.reconfigure(errors="backslashreplace")
     try:
-        return app(given, standalone_mode=False) or 0
+        return heard(app(given, standalone_mode=False) or 0)
+    except BrokenPipeError:  # what reads the output has gone, as in `axijax check first.toml | head -1`
+        return heard(UNHEARD)
     except (ValueError, RuntimeError, OSError) as error:
-        print(f"axijax: {error}", file=sys.stderr)
-        return 1
+        complain(str(error))
+        return heard(1)
     except Exception as error:
         if not hasattr(error, "format_message"):  # not the command line's own kind
             raise
         if error.format_message():  # nothing after a bare `axijax`, which shows its help
-            print(
-                f"axijax: {error.format_message().rstrip('.')}; given was: axijax {shlex.join(given)}", file=sys.stderr
-            )
-        return 2
+            complain(f"{error.format_message().rstrip('.')}; given was: axijax {shlex.join(given)}")
+        return heard(2)

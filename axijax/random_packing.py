@@ -19,6 +19,7 @@ from axijax.fabric import contact_statistics, inside_balls, measured, pairs_with
 from axijax.grading import Grading, linear
 from axijax.membrane import build_membrane, membrane_radius
 from axijax.packing import Specimen, check_positive
+from axijax.platform import require_64_bits
 from axijax.sector import Sector, plane_normals
 from axijax.time_step import DEFAULT_STEP
 from axijax.vector import from_rows
@@ -115,6 +116,7 @@ def random_cylinder(
     Raises ValueError for arguments that make no sense, or a void ratio that cannot be reached, with the range that can;
     RuntimeError where compaction did not reach its tolerance.
     """
+    require_64_bits()
     grading = linear(16.0, 24.0) if grading is None else grading
     params = Params() if params is None else params
     if isinstance(balls, bool) or not isinstance(balls, int | np.integer) or balls < 1 or balls % sector.order:

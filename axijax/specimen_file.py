@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from axijax.case import Case
+from axijax.folder import write_whole
 from axijax.packing import Specimen
-from axijax.results import write_whole
 
 NAME = "specimen.npz"
 ARRAYS = ("positions", "radius", "membrane_zone", "bottom", "top", "name", "zone_rule")

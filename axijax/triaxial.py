@@ -34,7 +34,7 @@ from axijax.membrane import Load, Membrane, build_membrane, membrane_radius
 from axijax.neighbors import Network, build_network
 from axijax.observe import Observation
 from axijax.packing import Specimen, cut_to_sector
-from axijax.platform import warn_where_batched
+from axijax.platform import require_64_bits, warn_where_batched
 from axijax.sector import Sector
 from axijax.shear import Prepared, Protocol, confine_test, fixed_load, shear_until_worn, simulate, start_shear
 from axijax.status import NOT_CONFINED
@@ -92,6 +92,7 @@ class TriaxialTest:
     protocol: Protocol = field(init=False)
 
     def __post_init__(self) -> None:
+        require_64_bits()
         cut = cut_to_sector(self.specimen, self.sector)
         check_params(self.params, len(cut))
         if not (np.isfinite(self.axial_strain) and 0 < self.axial_strain < 0.5):
@@ -148,9 +149,10 @@ class TriaxialTest:
         """The whole test as a pure function of its parameters, for jax.jit, jax.vmap and jax.jvp.
 
         For many parameter sets see `axijax.batch.simulate_many`: on a CPU, vmap over parameters is slow, and warned of.
-        One contact list serves the whole test, which is right up to about 2 % strain, unless `rebuild_every` asks for
-        more. Look at `status` of what comes back, or call `raise_for_status`.
+        One contact list serves the whole test, to about 2 % strain of a regular array and less than 1 % of many random
+        balls, unless `rebuild_every` asks for more. Look at `status` of what comes back, or call `raise_for_status`.
         """
+        require_64_bits()
         params = warn_where_batched(params)
         return simulate(self.scene, self.protocol, self.prepared(self.network, self.membrane), params)
 
@@ -177,6 +179,7 @@ class TriaxialTest:
         """
         from axijax.checkpoint import save_progress
 
+        require_64_bits()
         if start is not None and params is not None:
             raise ValueError("params: must be left out where a start is given, which brings its own.")
         now = self._begin(self.params if params is None else params) if start is None else start
