@@ -109,12 +109,12 @@ def calibrate(
     Writes fit.json, fit.png and evaluations.jsonl into the output folder; an interrupted fit resumes from the latter.
     """
     from axijax.case import Case, load_case
-    from axijax.folder import writable_folder
+    from axijax.folder import locked, writable_folder
     from calibrate import calibrate_file
 
     test = (Case() if case is None else load_case(case)).build()
     folder = writable_folder(output)
-    with filling(folder, "run it again, and what is in evaluations.jsonl is not computed again"):
+    with locked(folder), filling(folder, "run it again, and what is in evaluations.jsonl is not computed again"):
         calibrate_file(data, fit, test, folder, check=check)
 
 
@@ -185,7 +185,7 @@ def main(arguments: list[str] | None = None) -> int:
             stream.reconfigure(errors="backslashreplace")
     try:
         return heard(app(given, standalone_mode=False) or 0)
-    except BrokenPipeError:  # what reads the output has gone, as in `axijax check first.toml | head -1`
+    except SystemExit:  # typer's answer where what reads the output has gone, as in `axijax check first.toml | head -1`
         return heard(UNHEARD)
     except (ValueError, RuntimeError, OSError) as error:
         complain(str(error))

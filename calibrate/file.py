@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from axijax.folder import draw_afterwards
 from calibrate.fit import fit_parameters
 from calibrate.gradients import gradient
 from calibrate.measured import MeasuredCurve
@@ -37,8 +38,10 @@ def calibrate_file(
     output.mkdir(parents=True, exist_ok=True)
     found = fit_parameters(model, curve, names, log=output / "evaluations.jsonl")
     found.save(output / "fit.json")
-    found.draw(output / "fit.png")
     report(str(found))
+    problem = draw_afterwards("fit.png", lambda: found.draw(output / "fit.png"))
+    if problem is not None:
+        report(f"warning: {problem}")
     if check:
         stop = curve.last_strain
         window = WindowMean(0.5 * stop, stop)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from axijax.folder import write_whole
 from calibrate.evaluate import Evaluation
 from calibrate.measured import MeasuredCurve
 from calibrate.model import Cost
@@ -107,7 +108,7 @@ class Fit:
     def save(self, path) -> Path:
         """Write everything but the targets as JSON; returns the path."""
         path = Path(path)
-        path.write_text(
+        text = (
             json.dumps(
                 {
                     "status": self.status,
@@ -131,6 +132,7 @@ class Fit:
             )
             + "\n"
         )
+        write_whole(path, lambda target: target.write_text(text))
         return path
 
     def draw(self, path) -> Path:
@@ -160,7 +162,7 @@ class Fit:
             axes.legend(frameon=False, fontsize="small")
         title = ", ".join(f"{n} = {v:.4g} $\\pm$ {self.standard_error[n]:.1g}" for n, v in self.estimate.items())
         figure.suptitle(title, fontsize="medium")
-        figure.savefig(path, dpi=150)
+        write_whole(path, lambda target: figure.savefig(target, dpi=150))
         return path
 
     def _places(self):
