@@ -29,11 +29,12 @@ def new(
     Change what you like, delete what you do not care for, then `axijax check` and `axijax run` it.
     """
     from axijax.case import default_case, to_toml
-    from axijax.folder import write_whole
+    from axijax.folder import remove_leftovers, write_whole
 
     text = to_toml(default_case(kind))
     if file.exists() and not overwrite:
         raise ValueError(f"'{file}' exists: choose another name, or --overwrite.")
+    remove_leftovers(file.parent)
     try:
         write_whole(file, lambda target: target.write_text(text))
     except OSError as error:

@@ -174,6 +174,24 @@ class TestAPictureThatFails:
         assert shown.replace(r"\$", "$") == "$5 $\\frac$"
 
 
+def test_a_run_never_says_running_for_ever(finished, tmp_path, monkeypatch):
+    def broken(*_, **__):
+        raise RuntimeError("out of memory")
+
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        patch.setattr("axijax.runs.TriaxialTest.run", broken)
+        called = axijax("run", write(tmp_path / "tiny.toml", TINY), "--output", out)
+    assert called.code == 1 and "out of memory" in called.err
+    assert info_of(out)["status"] == "interrupted" and info_of(out)["message"] == "stopped by out of memory"
+    with monkeypatch.context() as patch:  # and a snapshot that cannot be made costs a warning
+        patch.setattr("axijax.paraview.snapshot", broken)
+        called = axijax("run", tmp_path / "tiny.toml", "--output", out, "--overwrite", "--snapshots", 1)
+    assert called.code == 0 and "axial strain could not be made (out of memory)" in called.err
+    assert len(info_of(out)["warnings"]) == 1
+    assert_same_curve(out, finished)
+
+
 class Killed(BaseException):
     """In place of SIGKILL: nothing of the program's sees to it but `finally`."""
 
