@@ -11,7 +11,7 @@ import typer
 
 from axijax.cli_batch import batch
 from axijax.cli_check import check
-from axijax.cli_errors import UNHEARD, complain, filling, heard
+from axijax.cli_filling import UNHEARD, complain, filling, heard
 from axijax.cli_pictures import plot, report, snapshot
 from axijax.cli_run import new, resume, run
 

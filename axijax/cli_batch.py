@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from axijax.cli_errors import filling
+from axijax.cli_filling import filling
 
 if TYPE_CHECKING:
     from axijax.batch import Member

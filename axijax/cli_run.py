@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from axijax.cli_errors import INTERRUPTED, complain
+from axijax.cli_filling import INTERRUPTED, complain
 
 if TYPE_CHECKING:
     from axijax.random_packing import PackingReport

@@ -13,7 +13,7 @@ import pytest
 
 from axijax import overwrite, signals, table1
 from axijax.batch import run_batch
-from axijax.cli_errors import filling, heard
+from axijax.cli_filling import filling, heard
 from axijax.folder import (
     FolderError,
     draw_afterwards,
