@@ -26,7 +26,7 @@ import types
 from dataclasses import fields
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, Self, Union, get_args, get_origin, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_serializer, model_validator
 
@@ -37,7 +37,7 @@ from axijax.triaxial import TriaxialTest
 
 # What pydantic is to allow, by field; what is not here is checked by the classes that the fields belong to.
 ALLOWED: dict[str, dict[str, float]] = {
-    "order": {"ge": 1},
+    "order": {"ge": 1, "le": 1000},
     "friction": {"ge": 0},
     "normal_stiffness": {"gt": 0},
     "shear_stiffness": {"gt": 0},
@@ -51,12 +51,19 @@ ALLOWED: dict[str, dict[str, float]] = {
     "background_damping": {"ge": 0},
     "axial_strain": {"gt": 0, "lt": 0.5},
     "time_step": {"gt": 0},
-    "record_every": {"ge": 1},
-    "confine_steps": {"ge": 1},
+    "record_every": {"ge": 1, "le": 10**6},
+    "confine_steps": {"ge": 1, "le": 10**9},
     "tolerance": {"gt": 0},
     "confining_friction": {"ge": 0},
-    "rebuild_every": {"ge": 0},
+    "rebuild_every": {"ge": 0, "le": 10**6},
 }
+
+# Sizes of numbers other than zero in whatever units: products of them stay far from the limits of a float.
+LEAST, MOST = 1e-30, 1e30
+
+# Balls of the full cylinder that a case may ask for, fifty times as many as were tested. 34 000 in one sector take a
+# minute and a half before their first step.
+MOST_BALLS = 200_000
 
 # Fields of a test that are for studies in Python only.
 NOT_IN_FILES = ("allow_unsafe_step",)
@@ -83,6 +90,13 @@ LEFT_OUT = {"confining_friction": "left out: none, but for a random specimen tha
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    @model_validator(mode="after")
+    def _of_sizes_that_can_be_multiplied(self) -> Self:
+        for name, value in self:
+            if isinstance(value, float) and value != 0 and not LEAST <= abs(value) <= MOST:
+                raise ValueError(f"{name} = {value:g}: must lie between {LEAST:g} and {MOST:g} in size")
+        return self
 
 
 def _section(name: str, source: type) -> Any:
@@ -128,11 +142,13 @@ class SpecimenCase(_Section):
         description="packing: FCC of octagonal section (the paper's), a circular cylinder of a lattice, random",
     )
     radius: float = Field(20.0, gt=0, description="ball radius [L]")
-    layers: int = Field(25, ge=1, description="number of horizontal layers [-]")
-    half_width: int = Field(9, ge=3, description="half width of the octagon in ball radii, odd [-]")
+    layers: int = Field(25, ge=1, le=10_000, description="number of horizontal layers [-]")
+    half_width: int = Field(9, ge=3, le=1_001, description="half width of the octagon in ball radii, odd [-]")
     specimen_radius: float = Field(200.0, gt=0, description="radius of the cylinder that holds the balls [L]")
 
-    balls: int = Field(400, ge=10, description="balls in the full cylinder, a multiple of the sector's order [-]")
+    balls: int = Field(
+        400, ge=10, le=MOST_BALLS, description="balls in the full cylinder, a multiple of the sector's order [-]"
+    )
     smallest_radius: float = Field(16.0, gt=0, description="smallest ball radius; radii are spread evenly [L]")
     largest_radius: float = Field(24.0, gt=0, description="largest ball radius [L]")
     grading: str | None = Field(
@@ -152,13 +168,26 @@ class SpecimenCase(_Section):
         gt=0,
         description="void ratio sought in place of compaction_friction, to 0.005, in up to twelve compactions [-]",
     )
-    seed: int = Field(0, ge=0, description="of the random numbers [-]")
+    seed: int = Field(0, ge=0, lt=2**63, description="of the random numbers [-]")
 
     @model_validator(mode="after")
     def _takes(self) -> "SpecimenCase":
         taken = KINDS[self.kind][0]
         for name in self.model_fields_set - {"kind", *taken}:
             raise ValueError(f"{name} does not belong to kind = '{self.kind}', which takes {', '.join(taken)}")
+        return self
+
+    @model_validator(mode="after")
+    def _of_so_many_balls(self) -> "SpecimenCase":
+        if self.kind == "octagon":
+            across, fields = 0.83 * self.half_width**2, "half_width"
+        else:
+            across, fields = 0.91 * (self.specimen_radius / self.radius) ** 2, "specimen_radius, or a larger radius"
+        if self.kind != "random" and across * self.layers > MOST_BALLS:
+            raise ValueError(
+                f"kind = '{self.kind}' of {self.layers} layers would hold some {across * self.layers:.2g} balls: at most "
+                f"{MOST_BALLS:,} are allowed; take fewer layers or a smaller {fields}"
+            )
         return self
 
     @model_serializer(mode="wrap")
@@ -358,15 +387,28 @@ def load_case(path: Path | str) -> Case:
     return make_case(read_toml(path), str(path))
 
 
+MOST_BYTES = 10**6  # of a case file; 10^4 is a long one
+
+
 def read_toml(path: Path | str) -> dict:
     """What a TOML file holds. Raises ValueError where it cannot be read."""
     try:
         with open(path, "rb") as file:
-            return tomllib.load(file)
+            text = file.read(MOST_BYTES + 1)
+        if len(text) > MOST_BYTES:
+            raise ValueError(f"case file '{path}' is larger than {MOST_BYTES:,} bytes: it is no case file.")
+        data = tomllib.loads(text.decode())
     except OSError as error:
         raise ValueError(f"case file '{path}' cannot be read: {error.strerror}.") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"case file '{path}' is not valid TOML: {error}.") from None
+    except RecursionError:
+        raise ValueError(f"case file '{path}' is nested too deeply: it is no case file.") from None
+    except ValueError as error:
+        if "integer string conversion" not in str(error):
+            raise
+        raise ValueError(f"case file '{path}' holds a number of thousands of digits: it is no case file.") from None
+    return data
 
 
 def make_case(data: dict, source: str) -> Case:
@@ -374,6 +416,8 @@ def make_case(data: dict, source: str) -> Case:
     specimen = data.get("specimen")
     if isinstance(specimen, dict) and isinstance(specimen.get("grading"), str):  # beside the case file
         data = data | {"specimen": specimen | {"grading": str(Path(source).absolute().parent / specimen["grading"])}}
+        if "\0" in specimen["grading"]:
+            raise ValueError(f"case file '{source}': specimen.grading = {_repr(specimen['grading'])}: no name of a file.")
     try:
         return Case.model_validate(data)
     except ValidationError as error:
@@ -393,14 +437,23 @@ def _sentence(problem) -> str:
     if problem["type"] == "value_error":
         return f"{where}.{problem['ctx']['error']}"
     if problem["type"] == "model_type":
-        return f"{where} = {given!r}: must be a section, [{where}], with its fields below"
+        return f"{where} = {_repr(given)}: must be a section, [{where}], with its fields below"
     told = problem["msg"].replace("Input should be", "must be")
     for theirs, ours in (("boolean", "true or false"), ("integer", "a whole number"), ("number", "a number")):
         told = told.replace(f"a valid {theirs}", ours)
     if problem["type"] == "literal_error":
         near = _nearest(str(given), re.findall(r"'([^']*)'", problem["ctx"]["expected"]))
         told += f"; {near}" if near else ""
-    return f"{where} = {str(given).lower() if isinstance(given, bool) else repr(given)}: {told}"
+    return f"{where} = {str(given).lower() if isinstance(given, bool) else _repr(given)}: {told}"
+
+
+def _repr(given) -> str:
+    """A value as it is shown in a sentence, however long it is."""
+    try:
+        shown = repr(given)
+    except (ValueError, RecursionError):  # an integer of thousands of digits, in hexadecimal
+        return "a value that is too long to be shown"
+    return shown if len(shown) <= 80 else f"{shown[:60]}.. ({len(shown)} characters)"
 
 
 def _nearest(name: str, known) -> str:

@@ -8,10 +8,8 @@ The file is a NumPy .npz archive of every array under its name in `triaxial.Prog
 program versions, and what the test was. A checkpoint fits one test only, up to the axial strain where it stops.
 """
 
-import hashlib
 import json
 import zipfile
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +20,13 @@ import numpy as np
 from axijax.confinement import Confinement
 from axijax.curve import no_records
 from axijax.dynamics import initial_state
+from axijax.fingerprint import differences, fingerprint, versions
 from axijax.folder import write_whole
 from axijax.membrane import Load
 from axijax.triaxial import Progress, TriaxialTest
 
 FORMAT = "axijax shear in progress"
-VERSION = 2
+VERSION = 3
 
 
 def save_progress(path: Path, test: TriaxialTest, progress: Progress) -> None:
@@ -36,8 +35,7 @@ def save_progress(path: Path, test: TriaxialTest, progress: Progress) -> None:
     header = {
         "format": FORMAT,
         "version": VERSION,
-        "axijax": _version("axijax"),
-        "jax": jax.__version__,
+        **versions(),
         "test": _description(test),
         # Python numbers promote differently from arrays, so they come back as what they were.
         "numbers": [name for name, leaf in leaves.items() if isinstance(leaf, int | float)],
@@ -77,12 +75,11 @@ def load_progress(path: Path, test: TriaxialTest) -> Progress:
             f"checkpoint '{path}' has format version {header.get('version')}, this program reads {VERSION}: start "
             "again without it."
         )
-    ours, theirs = _description(test), header.get("test", {})
-    other = [name for name in ours if ours[name] != theirs.get(name)]
+    other = differences(_description(test), header.get("test"))
     if other:
         raise ValueError(
-            f"checkpoint '{path}' is of another test: its {' and '.join(other)} differ; use the test that wrote it "
-            "(only axial_strain may change)."
+            f"checkpoint '{path}' is of another test: it differs in {other}; use the test that wrote it (only "
+            "axial_strain may change)."
         )
     numbers = set(header.get("numbers", ()))
     template = _template(test, fixed="fixed.lateral" in arrays)
@@ -120,25 +117,7 @@ def _template(test: TriaxialTest, fixed: bool) -> Progress:
     )
 
 
-def _description(test: TriaxialTest) -> dict[str, object]:
-    """All that decides how a shear goes on, but for where it stops and what the progress itself holds."""
-    digest = hashlib.sha256()
-    for array in (test.cut.positions, test.cut.radius, test.cut.membrane_zone):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return {
-        "specimen": digest.hexdigest(),
-        "sector": repr(test.sector),
-        "scene": repr(test.scene),
-        "time_step": test.time_step,
-        "ramp_time": test.ramp_time,
-        "record_every": test.record_every,
-        "refresh": test.refresh,
-        "lateral_load": test.lateral_load is not None,
-    }
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "unknown"
+def _description(test: TriaxialTest) -> dict[str, str]:
+    """All that decides how a shear goes on, but for where it stops and the parameters, which the progress holds."""
+    parts = fingerprint(test)
+    return {name: part for name, part in parts.items() if name.split(".")[0] not in ("axial_strain", "params")}

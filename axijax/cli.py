@@ -1,6 +1,5 @@
 """The command line. Heavy imports happen inside the commands, so that --help is quick."""
 
-import shlex
 import sys
 import warnings
 from collections.abc import Callable
@@ -11,7 +10,7 @@ import typer
 
 from axijax.cli_batch import batch
 from axijax.cli_check import check
-from axijax.cli_filling import UNHEARD, complain, filling, heard
+from axijax.cli_errors import complain, filling, guarded
 from axijax.cli_pictures import plot, report, snapshot
 from axijax.cli_run import new, resume, run
 
@@ -78,13 +77,16 @@ def table1(
 
         def tell(row: paper.Row) -> None:
             if not console.is_terminal:
-                print(f"{row.paper_run.name}: peak {row.values()['peak_ratio']:.4f} in {row.seconds:.1f} s", flush=True)
+                print(f"{row.paper_run.name}: {row.peak.short} in {row.seconds:.1f} s", flush=True)
 
         with filling(folder, "run it again"):
             rows = paper.run_table(progress=advance, finished=tell)
     with filling(folder, "run it again"):
         written = paper.save(rows, folder)
     console.print(_table(rows))
+    for row in rows:
+        if not row.peak.reached:
+            console.print(f"- {row.paper_run.name}: {row.peak}", highlight=False)
     for note in paper.NOTES:
         console.print(f"- {note}", highlight=False)
     confined = [row.run.curve.confinement for row in rows]
@@ -171,28 +173,16 @@ def main(arguments: list[str] | None = None) -> int:
     """Entry point: a mistake of the user's, or a run that went wrong, ends in one sentence and an exit code.
 
     1: something went wrong, or a check failed. 2: the command line itself. 130: interrupted, with the way to go on.
-    141: nothing reads what is printed any more.
     """
     given = sys.argv[1:] if arguments is None else arguments
-    warnings.showwarning = lambda message, *_: complain(f"warning: {message}")
-    if given and "--help" not in given:  # help does without JAX, which takes a second to import
-        from axijax.platform import fast_cpu_kernels, use_compilation_cache
 
-        fast_cpu_kernels()
-        use_compilation_cache()
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # names of files need not be text, and not every terminal takes every text
-            stream.reconfigure(errors="backslashreplace")
-    try:
-        return heard(app(given, standalone_mode=False) or 0)
-    except SystemExit:  # typer's answer where what reads the output has gone, as in `axijax check first.toml | head -1`
-        return heard(UNHEARD)
-    except (ValueError, RuntimeError, OSError) as error:
-        complain(str(error))
-        return heard(1)
-    except Exception as error:
-        if not hasattr(error, "format_message"):  # not the command line's own kind
-            raise
-        if error.format_message():  # nothing after a bare `axijax`, which shows its help
-            complain(f"{error.format_message().rstrip('.')}; given was: axijax {shlex.join(given)}")
-        return heard(2)
+    def work() -> int | None:
+        warnings.showwarning = lambda message, *_: complain(f"warning: {message}")
+        if given and "--help" not in given:  # help does without JAX, which takes a second to import
+            from axijax.platform import fast_cpu_kernels, use_compilation_cache
+
+            fast_cpu_kernels()
+            use_compilation_cache()
+        return app(given, standalone_mode=False)
+
+    return guarded(work, given)

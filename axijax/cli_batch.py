@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from axijax.cli_filling import filling
+from axijax.cli_errors import filling
 
 if TYPE_CHECKING:
     from axijax.batch import Member
@@ -105,8 +105,10 @@ def _lists(path: Path, table) -> dict[tuple[str, str], list]:
 
 
 def _line(outcome) -> str:
+    from axijax.curve import find_peak
+
     name = outcome.member.name
     if outcome.failure is not None:
         return f"{name}: failed, {outcome.failure}"
-    peak = float(outcome.curve.stress_ratio.max())
-    return f"{name}: peak {peak:.4f} " + ("(there already)" if outcome.resumed else f"in {outcome.seconds:.1f} s")
+    peak = find_peak(outcome.curve.axial_strain, outcome.curve.stress_ratio)
+    return f"{name}: {peak.short} " + ("(there already)" if outcome.resumed else f"in {outcome.seconds:.1f} s")

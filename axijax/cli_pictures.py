@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from axijax.cli_filling import filling
+from axijax.cli_errors import filling
 
 AGAIN = "run it again"
 _RESULTS = typer.Argument(

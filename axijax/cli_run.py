@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from axijax.cli_filling import INTERRUPTED, complain
+from axijax.cli_errors import INTERRUPTED, complain
 
 if TYPE_CHECKING:
     from axijax.random_packing import PackingReport
@@ -155,12 +155,10 @@ class _Live:
 
     def finished(self, run: "Run") -> None:
         """The last word."""
-        peak = run.curve.stress_ratio.argmax()
-        self.show(
-            "finished",
-            f"peak stress ratio {run.curve.stress_ratio[peak]:.4f} at {100 * run.curve.axial_strain[peak]:.3f} % axial "
-            f"strain; {time.perf_counter() - self.started:.1f} s; result in {self.folder}",
-        )
+        from axijax.curve import find_peak
+
+        peak = find_peak(run.curve.axial_strain, run.curve.stress_ratio)
+        self.show("finished", f"{peak}; {time.perf_counter() - self.started:.1f} s; result in {self.folder}")
 
 
 class _PlainLines(_Live):
@@ -241,12 +239,16 @@ class _JsonLines(_Live):
         )
 
     def finished(self, run: "Run") -> None:
-        peak = int(run.curve.stress_ratio.argmax())
+        from axijax.curve import find_peak
+
+        peak = find_peak(run.curve.axial_strain, run.curve.stress_ratio)
         self.say(
             event="finished",
             result=str(self.folder),
-            peak_stress_ratio=float(run.curve.stress_ratio[peak]),
-            axial_strain_at_peak=float(run.curve.axial_strain[peak]),
+            peak_stress_ratio=peak.stress_ratio,
+            axial_strain_at_peak=peak.axial_strain,
+            peak_reached=peak.reached,
+            **({} if peak.reached else {"warning": str(peak)}),
         )
 
     def __exit__(self, kind, error, trace) -> None:

@@ -2,7 +2,7 @@
 
 import warnings
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -50,6 +50,69 @@ class Curve:
 
 # The fields of a curve that hold one value a record.
 RECORDS = tuple(f.name for f in fields(Curve) if f.name not in ("confinement", "status"))
+
+
+class Peak(NamedTuple):
+    """The largest stress ratio of a curve, and whether it is a peak; made by `find_peak`.
+
+    record: its place. axial_strain, stress_ratio: there [-].
+    doubt: why it is no peak, in words; empty where it is one.
+    """
+
+    record: int
+    axial_strain: float
+    stress_ratio: float
+    doubt: str
+
+    @property
+    def reached(self) -> bool:
+        """Whether it is a peak."""
+        return not self.doubt
+
+    @property
+    def short(self) -> str:
+        """The value, and why it is no peak."""
+        if self.reached:
+            return f"peak {self.stress_ratio:.4f}"
+        return f"largest so far {self.stress_ratio:.4f} ({self.doubt})"
+
+    def __str__(self) -> str:
+        name = "peak stress ratio" if self.reached else "largest stress ratio so far"
+        told = f"{name} {self.stress_ratio:.4f} at {100 * self.axial_strain:.3f} % axial strain"
+        return told if self.reached else f"{told}, {self.doubt}"
+
+
+# What follows a maximum decides whether it is a peak: this share of the strain without exceeding it, or a fall by this
+# share of R - 1 that is also this many times the scatter of single records.
+PEAK_STRAIN, PEAK_FALL, PEAK_SCATTER = 0.1, 0.01, 4.0
+
+
+def find_peak(axial_strain, stress_ratio) -> Peak:
+    """The largest stress ratio of a curve, simulated or measured, and whether it is a peak (T values each).
+
+    It is one where the last tenth of the strain lies behind it, or where the curve has fallen from it by more than a
+    hundredth of R - 1 and than it scatters from record to record. The last record never is, nor are the last few of a
+    noisy curve that rises: all that is known then is that a peak, if there is one, is higher.
+    """
+    strain, ratio = np.asarray(axial_strain, float), np.asarray(stress_ratio, float)
+    sound = np.flatnonzero(np.isfinite(strain) & np.isfinite(ratio))  # a run that failed may end in NaN
+    if not sound.size:
+        return Peak(0, float("nan"), float("nan"), "no record is a number")
+    strain, ratio = strain[sound], ratio[sound]
+    top = int(ratio.argmax())
+    after = ratio[top + 1 :]
+    doubt = ""
+    if not after.size:
+        doubt = "at the last record: the curve still rises, no peak"
+    elif top == 0:
+        doubt = "at the first record: the curve never rises above its start, no peak"
+    elif strain[-1] - strain[top] < PEAK_STRAIN * (strain[-1] - strain[0]):
+        # Of values with independent scatter s the second differences have sqrt(6) s, and 1.65 s as median size.
+        scatter = float(np.median(np.abs(np.diff(ratio, 2)))) / 1.65
+        if ratio[top] - after[-3:].mean() < max(PEAK_FALL * (ratio[top] - 1), PEAK_SCATTER * scatter):
+            records = "one record" if after.size == 1 else f"{after.size} records"
+            doubt = f"{records} before the last: the curve has not clearly fallen since, no peak"
+    return Peak(int(sound[top]), float(strain[top]), float(ratio[top]), doubt)
 
 
 def raise_for_status(status, curve: Curve | None = None) -> None:

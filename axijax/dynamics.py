@@ -64,12 +64,15 @@ class Params:
         return self.normal_stiffness
 
 
+# Parameters that must be above zero; all others may be zero.
+POSITIVE = ("normal_stiffness", "shear_stiffness", "shear_modulus", "confining_stress", "platen_speed", "density")
+
+
 def check_params(params: Params, balls: int) -> None:
     """Raise ValueError, naming field, value and what is allowed, for concrete parameters that make no sense.
 
     balls: number of balls in the sector, for a friction per ball.
     """
-    positive = ("normal_stiffness", "shear_stiffness", "shear_modulus", "confining_stress", "density")
     for name, value in vars(params).items():
         if isinstance(value, jax.core.Tracer):
             continue
@@ -80,8 +83,8 @@ def check_params(params: Params, balls: int) -> None:
         shown = worst.ravel()[0]
         if not np.isfinite(numbers).all():
             raise ValueError(f"{name} = {shown}: must be a finite number.")
-        if name in positive and shown <= 0:
-            raise ValueError(f"{name} = {shown:g}: must be positive.")
+        if name in POSITIVE and shown <= 0:
+            raise ValueError(f"{name} = {shown:g}: must be positive{', inward' if name == 'platen_speed' else ''}.")
         if shown < 0:
             raise ValueError(f"{name} = {shown:g}: must be zero or positive.")
         if name == "local_damping" and numbers.max() >= 1:

@@ -62,8 +62,15 @@ def use_compilation_cache(path: Path | str | None = None) -> Path | None:
     given = jax.config.values["jax_compilation_cache_dir"]
     if path is None and given:
         return Path(given)
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~").expanduser() / ".cache")
-    folder = (Path(asked).expanduser() if asked else home / "axijax") / _processor()
+    try:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~").expanduser() / ".cache")
+        folder = (Path(asked).expanduser() if asked else home / "axijax") / _processor()
+    except RuntimeError:  # a user without a home
+        warnings.warn(
+            f"no compilation cache: this user has no home folder; set {CACHE_VARIABLE} to a folder, or to 'off'.",
+            stacklevel=2,
+        )
+        return None
     try:
         folder.mkdir(parents=True, exist_ok=True)
         _prune(folder)

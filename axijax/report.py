@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from axijax import pictures
 from axijax.case import SECTIONS, to_toml
 from axijax.checks import result_checks
+from axijax.curve import find_peak
 from axijax.folder import draw_afterwards, write_whole
 from axijax.plot import Measured, case_of, curve_figure, labels, thornton_ratio
 from axijax.results import LONG_NAMES, RECORDS, UNITS, Result
@@ -133,15 +134,17 @@ def _warning(result: Result, name: str) -> str:
 def _summary(result: Result) -> dict[str, str]:
     """What a reader looks for first, by name."""
     curve, case = result.curve, case_of(result)
-    peak = int(curve.stress_ratio.values.argmax())
-    summary = {
-        "peak stress ratio s1/s3 [-]": f"{float(curve.stress_ratio[peak]):.4g}",
-        "axial strain at the peak [%]": f"{100 * float(curve.axial_strain[peak]):.3g}",
-    }
+    peak = find_peak(curve.axial_strain.values, curve.stress_ratio.values)
+    if peak.reached:
+        summary = {"peak stress ratio s1/s3 [-]": f"{peak.stress_ratio:.4g}"}
+        summary["axial strain at the peak [%]"] = f"{100 * peak.axial_strain:.3g}"
+    else:
+        summary = {f"largest stress ratio s1/s3 so far [-], {peak.doubt}": f"{peak.stress_ratio:.4g}"}
+        summary["axial strain there [%]"] = f"{100 * peak.axial_strain:.3g}"
     if case is not None and thornton_ratio(case) is not None:
         summary["Thornton (1979), rigid balls that do not rotate [-]"] = f"{thornton_ratio(case):.4g}"
     summary |= {
-        "core stress ratio there [-]": f"{float(curve.core_ratio[peak]):.4g}",
+        "core stress ratio there [-]": f"{float(curve.core_ratio[peak.record]):.4g}",
         "volumetric strain at the end [%]": f"{100 * float(curve.volumetric_strain[-1]):.3g}",
         "axial strain reached [%]": f"{100 * float(curve.axial_strain[-1]):.3g}",
     }

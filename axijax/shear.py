@@ -20,12 +20,12 @@ from axijax.confinement import (
     wear,
 )
 from axijax.curve import Curve, make_curve
-from axijax.dynamics import Params, Scene, State, initial_state, make_step, positions
+from axijax.dynamics import POSITIVE, Params, Scene, State, initial_state, make_step, positions
 from axijax.membrane import Load, Membrane
 from axijax.neighbors import Network, closing
 from axijax.observe import observe
 from axijax.sector import radial_distance
-from axijax.status import ESCAPED, NOT_CONFINED, NOT_FINITE, STALE_CELLS, STALE_LIST
+from axijax.status import ESCAPED, NOT_CONFINED, NOT_FINITE, SENSELESS, STALE_CELLS, STALE_LIST
 from axijax.update import Grid, renew
 
 # A ball farther out than this many times the mean of the membrane's has left it. A small specimen that barrels at 13 %
@@ -232,5 +232,11 @@ def simulate(scene: Scene, protocol: Protocol, prepared: Prepared, params: Param
     start = start_shear(scene, prepared.network, confined)
     _, seen, status = shear(scene, protocol, prepared, params, start, fixed_load(protocol, prepared, start))
     settled = balance.worst <= protocol.limits.tolerance
-    status = jnp.bitwise_or.reduce(status) | jnp.where(settled, 0, NOT_CONFINED)
+    status = jnp.bitwise_or.reduce(status) | jnp.where(settled, 0, NOT_CONFINED) | _senseless(params)
     return make_curve(seen, balance, status)
+
+
+def _senseless(params: Params) -> jax.Array:
+    """A status bit for parameters that `dynamics.check_params` refuses, which cannot look at traced ones."""
+    wrong = [(value <= 0 if name in POSITIVE else value < 0) for name, value in vars(params).items()]
+    return jnp.where(jnp.stack([jnp.any(each) for each in wrong]).any(), SENSELESS, 0)

@@ -2,8 +2,13 @@
 
 # Bits of the status code that a run carries; `curve.raise_for_status` turns them into sentences.
 NOT_FINITE, NOT_CONFINED, STALE_LIST, STALE_CELLS, ESCAPED, UNSTABLE, FULL_LIST = 1, 2, 4, 8, 16, 32, 256
+SENSELESS = 64
 
 REMEDIES = {
+    SENSELESS: (
+        "a parameter is negative, or zero where it must be positive (stiffnesses, stress, density, platen speed): such "
+        "a test does not exist"
+    ),
     NOT_FINITE: "a position is no longer finite: the run is unstable; lower time_step or check the parameters",
     NOT_CONFINED: "confinement did not reach the stated equilibrium; raise confine_steps or the tolerance",
     STALE_LIST: (

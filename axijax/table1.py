@@ -11,6 +11,7 @@ import numpy as np
 
 from axijax import theory
 from axijax.batch import parallel
+from axijax.curve import Peak, find_peak
 from axijax.dynamics import Params
 from axijax.folder import draw_afterwards
 from axijax.packing import fcc_octagon
@@ -78,22 +79,27 @@ class Row:
     run: Run
     seconds: float
 
+    @property
+    def peak(self) -> Peak:
+        """Of the records up to 1 % axial strain."""
+        curve = self.run.curve
+        early = np.asarray(curve.axial_strain) <= AXIAL_STRAIN
+        return find_peak(np.asarray(curve.axial_strain)[early], np.asarray(curve.stress_ratio)[early])
+
     def values(self) -> dict[str, object]:
         """The row of table1.csv: peaks are maxima over the records up to 1 % axial strain."""
-        curve, paper = self.run.curve, self.paper_run
-        strain = np.asarray(curve.axial_strain)
-        early = strain <= AXIAL_STRAIN
-        peak = int(np.argmax(np.where(early, curve.stress_ratio, -np.inf)))
+        curve, paper, peak = self.run.curve, self.paper_run, self.peak
+        early = np.asarray(curve.axial_strain) <= AXIAL_STRAIN
         return {
             "boundary": paper.boundary,
             "sectors": paper.sectors,
             "friction": paper.friction,
             "theory": round(paper.theory, 6),
             "paper": paper.paper,
-            "peak_ratio": round(float(curve.stress_ratio[peak]), 6),
+            "peak_ratio": round(peak.stress_ratio, 6),
             "core_ratio": round(float(np.max(np.asarray(curve.core_ratio)[early])), 6),
             "virial_ratio": round(float(np.max(np.asarray(curve.virial_ratio)[early])), 6),
-            "axial_strain_at_peak": round(float(strain[peak]), 6),
+            "axial_strain_at_peak": round(peak.axial_strain, 6),
             "seconds": round(self.seconds, 2),
         }
 

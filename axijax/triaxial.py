@@ -30,7 +30,7 @@ from axijax.confinement import (
 )
 from axijax.curve import Curve, SimulationError, make_curve, no_records, raise_for_status, warn_of_chatter
 from axijax.dynamics import Params, Scene, State, check_params, positions
-from axijax.membrane import Load, Membrane, build_membrane, membrane_radius
+from axijax.membrane import Load, Membrane, build_membrane, check_load, membrane_radius
 from axijax.neighbors import Network, build_network
 from axijax.observe import Observation
 from axijax.packing import Specimen, cut_to_sector
@@ -42,6 +42,7 @@ from axijax.time_step import DEFAULT_STEP, check_step, critical_time_step
 from axijax.update import grid_for
 
 SEGMENT = 1000  # steps between looks at the run from outside: progress, rebuilding, errors
+MOST_STEPS = 2**31 - 1  # steps are counted in 32 bits; so many take days
 CHECKPOINT_SECONDS = 60.0  # between checkpoints, where they are asked for
 
 
@@ -97,8 +98,6 @@ class TriaxialTest:
         check_params(self.params, len(cut))
         if not (np.isfinite(self.axial_strain) and 0 < self.axial_strain < 0.5):
             raise ValueError(f"axial_strain = {self.axial_strain!r}: must lie between 0 and 0.5.")
-        if not float(self.params.platen_speed) > 0:
-            raise ValueError(f"platen_speed = {self.params.platen_speed!r}: must be positive, inward.")
         if isinstance(self.record_every, bool) or not isinstance(self.record_every, int) or self.record_every < 1:
             raise ValueError(f"record_every = {self.record_every!r}: must be a whole number of steps >= 1.")
         if isinstance(self.rebuild_every, bool) or not isinstance(self.rebuild_every, int) or self.rebuild_every < 0:
@@ -125,6 +124,12 @@ class TriaxialTest:
         ramp = 8 * cut.height / wave_speed(self.scene, self.params, network)
         speed = 2 * float(self.params.platen_speed)
         duration = self.axial_strain * cut.height / speed + ramp / 2
+        if not duration / step <= MOST_STEPS:
+            raise ValueError(
+                f"axial_strain = {self.axial_strain:g} takes {duration / step:.2g} steps of {step:.3g} at platen_speed = "
+                f"{float(self.params.platen_speed):g}: at most {MOST_STEPS:.2g} can be counted; raise platen_speed or "
+                "stop at a smaller strain."
+            )
         prepared = {
             "cut": cut,
             "network": network,
@@ -141,6 +146,7 @@ class TriaxialTest:
             ),
         }
         if self.lateral_load is not None:
+            check_load(self.lateral_load, cut)
             prepared["lateral_load"] = replace(self.lateral_load, stale=0.0)  # what is constant does not age
         for name, value in prepared.items():
             object.__setattr__(self, name, value)
@@ -150,16 +156,19 @@ class TriaxialTest:
 
         For many parameter sets see `axijax.batch.simulate_many`: on a CPU, vmap over parameters is slow, and warned of.
         One contact list serves the whole test, to about 2 % strain of a regular array and less than 1 % of many random
-        balls, unless `rebuild_every` asks for more. Look at `status` of what comes back, or call `raise_for_status`.
+        balls, unless `rebuild_every` asks for more. Look at `status` of what comes back, or call `raise_for_status`;
+        parameters that make no sense raise ValueError, or set a status bit where they are traced.
         """
         require_64_bits()
+        check_params(params, len(self.cut))
         params = warn_where_batched(params)
         return simulate(self.scene, self.protocol, self.prepared(self.network, self.membrane), params)
 
     def confine(self, params: Params | None = None) -> tuple[State, Confinement]:
         """The state at the end of confinement, and how well it is balanced."""
-        prepared = self.prepared(self.network, self.membrane)
-        return confine_test(self.scene, self.protocol, prepared, self.params if params is None else params)
+        params = self.params if params is None else params
+        check_params(params, len(self.cut))
+        return confine_test(self.scene, self.protocol, self.prepared(self.network, self.membrane), params)
 
     def run(
         self,

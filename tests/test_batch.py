@@ -19,7 +19,7 @@ import pytest
 import axijax
 from axijax import platform
 from axijax.batch import Member, open_batch, parallel, parameter_grid, run_batch, simulate_many
-from axijax.batch_files import key
+from axijax.batch_files import identity
 from axijax.cli_batch import load_sweep
 from axijax.curve import RECORDS
 
@@ -105,7 +105,7 @@ def test_run_again_computes_only_what_is_missing(batch, runs):
 def test_a_folder_of_something_else_is_refused(batch):
     folder, _, other = batch
     changed = dataclasses.replace(other, params=dataclasses.replace(other.parameters, density=2100.0))
-    with pytest.raises(ValueError, match=r"member 'large': .* other parameters .* choose another folder"):
+    with pytest.raises(ValueError, match=r"parameters\.density \(2100\.0 here, 2000\.0 there\); choose another folder"):
         run_batch([changed], folder)
 
 
@@ -123,8 +123,8 @@ def test_interrupted_by_hand(tmp_path, runs, singles):
 
 def test_what_is_hashed():
     test = tiny()
-    one = key(test, test.params)
-    assert one == key(tiny(), dataclasses.replace(test.params, friction=jnp.float64(test.params.friction)))
+    one = identity(test, test.params)
+    assert one == identity(tiny(), dataclasses.replace(test.params, friction=jnp.float64(test.params.friction)))
     others = [
         (dataclasses.replace(test, axial_strain=0.0007), test.params),
         (dataclasses.replace(test, scene=axijax.Scene(rotation=False, damping="local")), test.params),
@@ -133,7 +133,7 @@ def test_what_is_hashed():
         (tiny(radius=40.0), test.params),
         (test, dataclasses.replace(test.params, friction=np.nextafter(test.params.friction, 1))),
     ]
-    assert len({one} | {key(*other) for other in others}) == len(others) + 1
+    assert len({json.dumps(each) for each in (one, *(identity(*other) for other in others))}) == len(others) + 1
 
 
 def test_progress_is_told(singles):
