@@ -109,6 +109,7 @@ def calibrate(
     """Fit friction and stiffness of a triaxial test to a measured curve, by derivatives of the simulation.
 
     Writes fit.json, fit.png and evaluations.jsonl into the output folder; an interrupted fit resumes from the latter.
+    Ends with exit code 1 where the fit has not converged; what was found is written all the same.
     """
     from axijax.case import Case, load_case
     from axijax.folder import locked, writable_folder
@@ -117,7 +118,9 @@ def calibrate(
     test = (Case() if case is None else load_case(case)).build()
     folder = writable_folder(output)
     with locked(folder), filling(folder, "run it again, and what is in evaluations.jsonl is not computed again"):
-        calibrate_file(data, fit, test, folder, check=check)
+        found = calibrate_file(data, fit, test, folder, check=check)
+    if not found.converged:
+        raise typer.Exit(1)
 
 
 def _table(rows):

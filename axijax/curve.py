@@ -10,7 +10,7 @@ import numpy as np
 
 from axijax.confinement import Confinement
 from axijax.observe import Observation
-from axijax.status import NOT_FINITE, REMEDIES, UNSTABLE
+from axijax.status import UNSTABLE, described
 
 CHATTER = 1e-3  # `observe.chatter` of a sound run is below zero; above this, contacts chatter
 
@@ -118,11 +118,8 @@ def find_peak(axial_strain, stress_ratio) -> Peak:
 def raise_for_status(status, curve: Curve | None = None) -> None:
     """Raise SimulationError, naming what went wrong and what to do, unless a curve's status bits are all zero."""
     bits = int(np.bitwise_or.reduce(np.asarray(status).ravel()))
-    if bits & NOT_FINITE:  # of which all others are consequences
-        bits = NOT_FINITE
     if bits:
-        reasons = [text for bit, text in REMEDIES.items() if bits & bit]
-        raise SimulationError("the test went wrong: " + "; ".join(reasons) + ".", curve)
+        raise SimulationError(f"the test went wrong: {described(bits)}.", curve)
 
 
 def no_records() -> Observation:

@@ -1,7 +1,7 @@
 """What a test is, as named parts, so that what was computed from it is not taken for another test's.
 
-    parts = fingerprint(test)                     # {"sector.order": "4.0", "specimen.positions": "float64(3, 427) 1c..."}
-    differences(fingerprint(other), parts)        # "sector.boundary ('rigid' here, 'periodic' there)"
+    parts = fingerprint(test)                   # {"sector.order": "4.0", "specimen.positions": "float64(3, 427) 1c.."}
+    differences(fingerprint(other), parts)      # "sector.boundary ('rigid' here, 'periodic' there)"
 
 A checkpoint, a member of a batch and the log of a fit keep these parts and are refused where one differs. Nothing is
 named here: every field from which an object is made counts, at any depth, and the numbers that it derives from them.

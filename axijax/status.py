@@ -29,3 +29,12 @@ REMEDIES = {
         "long for these parameters; lower time_step"
     ),
 }
+
+
+def described(status: int) -> str:
+    """What status bits say went wrong and what to do, without a full stop; empty where they are all zero."""
+    if status & NOT_FINITE:  # of which all others are consequences
+        status = NOT_FINITE
+    unknown = status & ~sum(REMEDIES)
+    told = [text for bit, text in REMEDIES.items() if status & bit]
+    return "; ".join([*told, f"for a reason that this program does not know, status {unknown}"] if unknown else told)

@@ -12,13 +12,12 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.model import Model, RunFailed, jacobian_of
+from calibrate.model import LARGEST, Model, RunFailed, jacobian_of
 from calibrate.parameters import coordinate_rate
 
 STEPS = (1e-2, 1e-3, 1e-4)  # h of the sweep, relative to the value (for friction to f(1 - f)): steps in the coordinate
 AGREEMENT = 1e-2  # largest relative disagreement of the target's derivative that counts as agreement
 APART = 0.1  # relative disagreement of the curves' derivatives at which they have parted
-LARGEST = 1e3  # largest |dR/dz|, z the log or logit of the parameter, that is still taken for a physical sensitivity
 SHORTEST = 0.25  # share of the run below which a limited strain range is of no use
 
 RULE = (

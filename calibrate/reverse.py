@@ -13,6 +13,7 @@ import numpy as np
 
 from axijax.folder import write_whole
 from axijax.platform import fast_cpu_kernels_are_on
+from axijax.status import described
 
 
 def refuse_fast_kernels(what: str) -> None:
@@ -102,6 +103,11 @@ def friction_map(test, functional, friction=None) -> FrictionMap:
     per_ball = jnp.broadcast_to(jnp.asarray(given), (count,))
     step = jax.jit(jax.value_and_grad(number, has_aux=True))
     (value, status), slope = step(per_ball)
-    if int(status) or not np.isfinite(np.asarray(slope)).all():
-        raise RunFailed(f"the run behind the map ended with status {int(status)}, or a sensitivity that is not finite.")
+    if wrong := described(int(status)):
+        raise RunFailed(f"the run behind the map went wrong: {wrong}.")
+    if not np.isfinite(np.asarray(slope)).all():
+        raise RunFailed(
+            "a sensitivity behind the map is not finite: the tangents of so long a run ran away; stop at a smaller "
+            "axial_strain."
+        )
     return FrictionMap(float(value), np.asarray(slope), np.asarray(test.cut.positions), np.asarray(test.cut.radius))

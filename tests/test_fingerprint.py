@@ -1,4 +1,4 @@
-"""One identity of a test for log, checkpoint and batch: what decides a number is in it, by name, and nothing else is."""
+"""One identity of a test for log, checkpoint and batch: what decides a number is in it, by name."""
 
 import functools
 import json
