@@ -85,7 +85,8 @@ def write_report(results: Sequence[Result], output: Path, data: Measured | None 
     Raises ValueError for a result without a case, and OSError where the file cannot be written.
     """
     page = report_page(results, data, energy)
-    write_whole(Path(output), lambda target: target.write_text(page, encoding="utf-8"))
+    # A file's name need not be text.
+    write_whole(Path(output), lambda target: target.write_text(page, encoding="utf-8", errors="replace"))
     return Path(output)
 
 
