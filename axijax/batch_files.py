@@ -15,9 +15,10 @@ import numpy as np
 
 from axijax.curve import RECORDS, Confinement, Curve, find_peak
 from axijax.fingerprint import differences, fingerprint, versions
+from axijax.folder import remove_leftovers, writable_folder, write_whole
 from axijax.params import Params
 from axijax.quantity import values_of
-from axijax.results import curves_dataset, save_dataset, save_table, write_whole
+from axijax.results import curves_dataset, save_dataset, save_table
 from axijax.triaxial import TriaxialTest
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 MEMBERS = "members"  # the folder of the members' files
 FAILED = ".failed.json"
+SUMMARY = "summary.csv"
 READ_ERRORS = (OSError, TypeError, ValueError, KeyError, IndexError, AttributeError, EOFError, MemoryError)
 PEAK = ("peak_ratio", "core_ratio_at_peak", "virial_ratio_at_peak", "axial_strain_at_peak", "peak_reached")
 
@@ -83,6 +85,20 @@ def joined(datasets: Sequence["xarray.Dataset"]) -> "xarray.Dataset":
         lacking = {name: ("member", [empty]) for name, empty in absent.items() if name not in data.coords}
         padded.append(data.pad(record=(0, longest - data.sizes["record"])).assign_coords(lacking))
     return xarray.concat(padded, dim="member", join="outer", combine_attrs="drop_conflicts")
+
+
+def open_folder(folder: Path) -> Path:
+    """Make a batch's folder where there is none. Raises ValueError where it cannot be written, or where it holds a
+    summary.csv that no batch wrote.
+    """
+    remove_leftovers(writable_folder(folder) / MEMBERS)
+    summary = folder / SUMMARY
+    if summary.exists():
+        with open(summary, errors="replace") as file:
+            ours = file.readline().startswith("member,")
+        if not ours:
+            raise ValueError(f"output folder '{folder}' holds a {SUMMARY} that no batch wrote: choose another folder.")
+    return folder
 
 
 def open_batch(folder: Path | str) -> "xarray.Dataset":
@@ -146,7 +162,7 @@ def write_summary(folder: Path) -> None:
             rows.append({"member": str(data.member.values[0]), **values})
         rows += [json.loads(file.read_text()) for file in failed]
         columns = ("member", *names, *PEAK, "seconds", "failure")
-        save_table(folder / "summary.csv", columns, [dict.fromkeys(columns) | row for row in rows])
+        save_table(folder / SUMMARY, columns, [dict.fromkeys(columns) | row for row in rows])
         if (files, failed) == (_files(folder), sorted((folder / MEMBERS).glob(f"[!.]*{FAILED}"))):
             return
 

@@ -20,12 +20,12 @@ from axijax.checkpoint_arrays import what_is_wrong
 from axijax.curve import Confinement, no_records
 from axijax.dynamics import initial_state
 from axijax.fingerprint import differences, fingerprint, versions
+from axijax.folder import write_whole
 from axijax.membrane import Load
 from axijax.npz import read_npz
 from axijax.params import check_params
 from axijax.progress import Progress
 from axijax.quantity import parts_of
-from axijax.results import write_whole
 from axijax.triaxial import TriaxialTest
 
 FORMAT = "axijax shear in progress"

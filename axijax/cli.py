@@ -10,7 +10,7 @@ import typer
 
 from axijax.cli_batch import batch
 from axijax.cli_check import check
-from axijax.cli_errors import guarded
+from axijax.cli_errors import complain, filling, guarded
 from axijax.cli_pictures import plot, report, snapshot
 from axijax.cli_run import new, resume, run
 
@@ -53,10 +53,11 @@ def table1(
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from axijax import table1 as paper
-    from axijax.results import writable_folder
+    from axijax.folder import writable_folder
 
     started = time.perf_counter()
     folder = writable_folder(output)
+    paper.refuse_to_overwrite(folder)
     console = Console()
     if not console.is_terminal:
         console.width = 120
@@ -78,8 +79,10 @@ def table1(
             if not console.is_terminal:
                 print(f"{row.paper_run.name}: {row.peak.short} in {row.seconds:.1f} s", flush=True)
 
-        rows = paper.run_table(progress=advance, finished=tell)
-    written = paper.save(rows, folder)
+        with filling(folder, "run it again"):
+            rows = paper.run_table(progress=advance, finished=tell)
+    with filling(folder, "run it again"):
+        written = paper.save(rows, folder)
     console.print(_table(rows))
     for row in rows:
         if not row.peak.reached:
@@ -114,11 +117,14 @@ def calibrate(
     Ends with exit code 1 where the fit has not converged; what was found is written all the same.
     """
     from axijax.case import Case, load_case
-    from axijax.results import writable_folder
+    from axijax.folder import locked, writable_folder
     from calibrate import calibrate_file
 
     test = (Case() if case is None else load_case(case)).build()
-    if not calibrate_file(data, fit, test, writable_folder(output), check=check).converged:
+    folder = writable_folder(output)
+    with locked(folder), filling(folder, "run it again, and what is in evaluations.jsonl is not computed again"):
+        found = calibrate_file(data, fit, test, folder, check=check)
+    if not found.converged:
         raise typer.Exit(1)
 
 
@@ -179,7 +185,7 @@ def main(arguments: list[str] | None = None) -> int:
     given = sys.argv[1:] if arguments is None else arguments
 
     def work() -> int | None:
-        warnings.showwarning = lambda message, *_: print(f"axijax: warning: {message}", file=sys.stderr)
+        warnings.showwarning = lambda message, *_: complain(f"warning: {message}")
         if given and "--help" not in given:  # help does without JAX, which takes a second to import
             from axijax.platform import fast_cpu_kernels, use_compilation_cache
 

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from axijax.cli_errors import filling
+
 if TYPE_CHECKING:
     from axijax.batch import Member
 
@@ -28,7 +30,7 @@ def batch(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from axijax.batch import Outcome, run_batch
-    from axijax.results import writable_folder
+    from axijax.folder import writable_folder
 
     members = load_sweep(sweep)
     folder = writable_folder(output)
@@ -56,7 +58,8 @@ def batch(
             bars.update(whole, completed=ended + sum(shares.values()))
             console.print(_line(outcome), highlight=False, soft_wrap=True, markup=False)
 
-        result = run_batch(members, folder, advance, tell, workers=workers)
+        with filling(folder, "run it again, and what is there is not computed again"):
+            result = run_batch(members, folder, advance, tell, workers=workers)
     console.print(
         f"{len(result.curves)} of {len(members)} tests done. Written: {folder / 'summary.csv'}, {folder / 'members'}",
         highlight=False, soft_wrap=True,

@@ -3,13 +3,21 @@
 With AXIJAX_TRACEBACK=1 in the environment a fault that is nobody's mistake shows its traceback instead.
 """
 
+import contextlib
 import os
 import shlex
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import typer
+
+from axijax.folder import writing_to
 
 VARIABLE = "AXIJAX_TRACEBACK"
+INTERRUPTED = 128 + signal.SIGINT  # as shells say of Ctrl-C
 
 # XLA and its compiler end the process, without an exception, where they find less address space than this [bytes].
 LEAST_MEMORY = 2 * 10**9
@@ -22,13 +30,16 @@ def guarded(work: Callable[[], int | None], given: Sequence[str]) -> int:
         _standard_streams()
         _enough_memory()
         code = work() or 0
-        sys.stdout.flush()
+        try:
+            sys.stdout.flush()
+        except OSError:
+            _drop_output()
+            raise
         return code
     except KeyboardInterrupt:
-        return _told("interrupted", 128 + signal.SIGINT)
-    except BrokenPipeError:
-        # Whoever read has gone, so that what is still in the buffer must go nowhere.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _told("interrupted", INTERRUPTED)
+    except (BrokenPipeError, SystemExit):  # the latter is the command line's library's answer to a closed pipe
+        _drop_output()
         return _told("standard output was closed by the program that read it")
     except MemoryError as error:
         return _told(f"this machine has not enough memory for it{_reason(error)}: take fewer balls or records")
@@ -38,7 +49,7 @@ def guarded(work: Callable[[], int | None], given: Sequence[str]) -> int:
         return _told(_of_the_system(error))
     except Exception as error:
         if type(error).__name__ == "Abort":  # how the command line's library passes Ctrl-C on
-            return _told("interrupted", 128 + signal.SIGINT)
+            return _told("interrupted", INTERRUPTED)
         if hasattr(error, "format_message"):  # the command line's own kind
             message = error.format_message().rstrip(".")  # nothing after a bare `axijax`, which shows its help
             return _told(f"{message}; given was: axijax {shlex.join(given)}" if message else "", 2)
@@ -57,10 +68,34 @@ def guarded(work: Callable[[], int | None], given: Sequence[str]) -> int:
         )
 
 
+@contextmanager
+def filling(folder: Path, way_on: str) -> Iterator[None]:
+    """For a command that fills a folder: Ctrl-C, or a folder that cannot be written, ends in one sentence that tells
+    the way on, such as "run it again"."""
+    try:
+        with writing_to(folder, lambda: way_on):
+            yield
+    except KeyboardInterrupt:
+        complain(f"interrupted: {way_on}.")
+        raise typer.Exit(INTERRUPTED) from None
+
+
+def complain(message: str) -> None:
+    """Say what is wrong on standard error, where there is somebody to hear it."""
+    with contextlib.suppress(OSError):
+        print(f"axijax: {' '.join(message.split())}", file=sys.stderr, flush=True)
+
+
 def _told(message: str, code: int = 1) -> int:
     if message:
-        print(f"axijax: {' '.join(message.split())}", file=sys.stderr)
+        complain(message)
     return code
+
+
+def _drop_output() -> None:
+    """What is still in the buffer of standard output goes nowhere, or Python would try once more at its end."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _reason(error: BaseException) -> str:

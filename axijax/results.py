@@ -9,8 +9,6 @@ Every file is written whole or not at all.
 
 import csv
 import json
-import os
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from axijax.curve import RECORDS, Curve
+from axijax.folder import draw_afterwards, printable, write_whole
 from axijax.triaxial import TriaxialTest, curve_of
 
 if TYPE_CHECKING:
@@ -82,20 +81,28 @@ def save_dataset(dataset: "xarray.Dataset", path: Path) -> None:
 
 
 def save_run(folder: Path, name: str, case: str, curve: Curve) -> list[Path]:
-    """Write one run's curve as NetCDF and CSV, with a picture; the case (JSON) and the versions go into the NetCDF."""
+    """Write one run's curve as NetCDF and CSV; the case (JSON) and the versions go into the NetCDF."""
     import jax
 
-    from axijax import plot
-
     attributes = {"title": name, "case": case, "axijax": version("axijax"), "jax": jax.__version__}
-    paths = [folder / f"curve.{kind}" for kind in ("nc", "csv", "png")]
+    paths = [folder / f"curve.{kind}" for kind in ("nc", "csv")]
     save_dataset(curves_dataset({name: curve}, {}, attributes), paths[0])
     heads = [f"{column} [{'-' if UNITS[column] == '1' else UNITS[column]}]" for column in RECORDS]
     rows = zip(*(np.asarray(getattr(curve, column)).tolist() for column in RECORDS), strict=True)
     comment = f"axijax {attributes['axijax']}, {name}: compression positive; curve.nc holds the same with the case"
     save_table(paths[1], heads, [dict(zip(heads, row, strict=True)) for row in rows], comment)
-    plot.save_figure(plot.curve_figure([open_result(paths[0])]), paths[2])
     return paths
+
+
+def draw_curve(folder: Path) -> str | None:
+    """Draw curve.png of the curve.nc in a folder: None, or a sentence that says why it is missing."""
+
+    def draw() -> None:
+        from axijax import plot
+
+        plot.save_figure(plot.curve_figure([open_result(folder / "curve.nc")]), folder / "curve.png")
+
+    return draw_afterwards("curve.png", draw)
 
 
 def save_table(
@@ -112,35 +119,6 @@ def save_table(
             writer.writerows({name: "" if row[name] is None else row[name] for name in columns} for row in rows)
 
     write_whole(path, write)
-
-
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a temporary file beside `path`, then rename it, so that no partial file can look whole."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        write(temporary)
-        temporary.chmod(0o644)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def writable_folder(path: Path) -> Path:
-    """Make a folder for results, and make sure that it can be written before anything is computed.
-
-    Raises ValueError, with the reason, where it cannot.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path):
-            pass
-    except OSError as error:
-        raise ValueError(
-            f"output folder '{path}' cannot be written ({error.strerror}): choose another with --output."
-        ) from None
-    return path
 
 
 @dataclass(frozen=True)
@@ -252,9 +230,9 @@ def open_results(path: str | Path) -> list[Result]:
     result = Result(path, _name(path), xarray.Dataset(), status, info)
     progress = result.progress
     if progress.records.height.size == 0:
+        way_on = f"go on with `axijax resume {path}`" if info else "its run.json is lost too, so run the case again"
         raise ValueError(
-            f"result '{path}' is {status} and was confined but not sheared, so it has no curve yet: go on with "
-            f"`axijax resume {path}`."
+            f"result '{path}' is {status} and was confined but not sheared, so it has no curve yet: {way_on}."
         )
     curve = curve_of(progress, result.test.axial_strain)
     dataset = curves_dataset({result.name: curve}, {}, {}).isel(run=0, drop=True)
@@ -264,7 +242,7 @@ def open_results(path: str | Path) -> list[Result]:
 
 
 def _name(folder: Path) -> str:
-    return folder.resolve().name
+    return printable(folder.resolve().name)
 
 
 def read_info(folder: Path, needed: Sequence[str] = ("status",)) -> dict[str, Any]:

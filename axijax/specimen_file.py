@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from axijax.case import Case
+from axijax.folder import write_whole
 from axijax.npz import read_npz
 from axijax.packing import Specimen
-from axijax.results import write_whole
 
 NAME = "specimen.npz"
 ARRAYS = ("positions", "radius", "membrane_zone", "bottom", "top", "name", "zone_rule")

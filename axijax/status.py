@@ -13,11 +13,11 @@ REMEDIES = {
     NOT_CONFINED: "confinement did not reach the stated equilibrium; raise confine_steps or the tolerance",
     STALE_LIST: (
         "two balls together moved by more than the skin of the contact list, so a contact may be missing: "
-        "lower platen_speed or axial_strain, and past 2 % use `run` or rebuild_every"
+        "lower platen_speed or axial_strain, or make the list anew with `run` or rebuild_every"
     ),
     STALE_CELLS: (
-        "the membrane's balls moved past one another: lower platen_speed or axial_strain, and past 2 % use `run` or "
-        "rebuild_every"
+        "the membrane's balls moved past one another: lower platen_speed or axial_strain, or make its cells anew with "
+        "`run` or rebuild_every"
     ),
     FULL_LIST: (
         "a ball has more neighbours, or the membrane more balls, than a list that is made anew inside `simulate` has "

@@ -24,7 +24,7 @@ from axijax.membrane import Load, Membrane
 from axijax.neighbors import Network
 from axijax.packing import Specimen, cut_to_sector
 from axijax.params import Params, check_params
-from axijax.platform import warn_where_batched
+from axijax.platform import require_64_bits, warn_where_batched
 from axijax.prepare import Prepared, prepare
 from axijax.progress import Progress, Run, begin, curve_of, go_on
 from axijax.quantity import setting, settings
@@ -85,6 +85,7 @@ class TriaxialTest:
     allow_unsafe_step: bool = False
 
     def __post_init__(self) -> None:
+        require_64_bits()
         for name, about in settings(self).items():
             value = getattr(self, name)
             if isinstance(value, bool) and (about.unit or about.whole):
@@ -117,10 +118,11 @@ class TriaxialTest:
         """The whole test as a pure function of its parameters, for jax.jit, jax.vmap and jax.jvp.
 
         For many parameter sets see `axijax.batch.simulate_many`: on a CPU, vmap over parameters is slow, and warned of.
-        One contact list serves the whole test, which is right up to about 2 % strain, unless `rebuild_every` asks for
-        more. Look at `status` of what comes back, or call `raise_for_status`; parameters that make no sense raise
-        ValueError, or set a status bit where they are traced.
+        One contact list serves the whole test, to about 2 % strain of a regular array and less than 1 % of many random
+        balls, unless `rebuild_every` asks for more. Look at `status` of what comes back, or call `raise_for_status`;
+        parameters that make no sense raise ValueError, or set a status bit where they are traced.
         """
+        require_64_bits()
         check_params(params, len(self.cut))
         return simulate(self.prepared, warn_where_batched(params))
 
@@ -148,6 +150,7 @@ class TriaxialTest:
         """
         from axijax.checkpoint import save_progress
 
+        require_64_bits()
         if start is not None and params is not None:
             raise ValueError("params: must be left out where a start is given, which brings its own.")
         now = begin(self, self.params if params is None else params) if start is None else start

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from axijax.folder import draw_afterwards
 from calibrate.fit import fit_parameters
 from calibrate.gradients import Health, gradient
 from calibrate.measured import DataError, MeasuredCurve
@@ -48,8 +49,10 @@ def calibrate_file(
     found = fit_parameters(model, curve, names, log=output / "evaluations.jsonl")
     found = replace(found, warnings=looked_wrong + found.warnings)
     found.save(output / "fit.json")
-    found.draw(output / "fit.png")
     report(str(found))
+    problem = draw_afterwards("fit.png", lambda: found.draw(output / "fit.png"))
+    if problem is not None:
+        report(f"warning: {problem}")
     before = len(found.warnings)
     if check:
         stop = curve.last_strain

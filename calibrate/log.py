@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from axijax.fingerprint import differences
-from axijax.results import write_whole
+from axijax.folder import write_whole
 from calibrate.model import FIELDS
 
 KIND = "axijax log of a fit"

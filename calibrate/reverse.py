@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from axijax.folder import write_whole
 from axijax.platform import fast_cpu_kernels_are_on
 from axijax.status import described
 
@@ -72,7 +73,7 @@ class FrictionMap:
             title=f"{title} (sum {self.total:.3f})",
             aspect="equal",
         )
-        figure.savefig(path, dpi=150)
+        write_whole(path, lambda target: figure.savefig(target, dpi=150))
         return path
 
 

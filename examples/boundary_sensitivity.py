@@ -84,8 +84,8 @@ def sheared(specimen, report, sector, friction, strain) -> dict:
 def work(options) -> None:
     """Make and shear all that is missing and that no other process is at."""
     import axijax
+    from axijax.folder import write_whole
     from axijax.random_packing import random_cylinder
-    from axijax.results import write_whole
 
     axijax.fast_cpu_kernels()
     for size, order, boundary, seed in packings(options):

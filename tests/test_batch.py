@@ -308,6 +308,7 @@ def test_killed_while_writing_then_resumed_without_compiling(killed, singles):
     assert done["resumed"] == ["friction=0.1"]
     assert done["computed"] == ["friction=0.2", "friction=0.3", FAILING]
     assert done["misses"] == 0 and done["hits"] > 3
+    assert not list((folder / "members").glob(".*")), "the half-written one is gone"
     data = open_batch(folder)
     for name, curve in singles.items():
         assert np.array_equal(data.stress_ratio.sel(member=name), curve.stress_ratio)
@@ -368,3 +369,30 @@ class TestCache:
             os.utime(tmp_path / f"{number}-cache", (number, number))
         platform._prune(tmp_path)
         assert {file.name for file in tmp_path.iterdir()} == {f"{number}-cache" for number in range(8, 12)}
+
+    def test_a_program_that_was_cut_short_is_made_again_and_replaced(self, tmp_path):
+        """JAX itself warns of it at every start and keeps it, as there is a file of that name."""
+
+        def compiled() -> dict:
+            return answer(process(tmp_path, "compile", tmp_path, "fast"))
+
+        assert compiled()["hits"] == 0
+        programs = list(tmp_path.rglob("*-cache"))
+        for program in programs:
+            os.truncate(program, program.stat().st_size // 2)
+        assert programs and compiled()["hits"] == 0
+        again = compiled()
+        assert again["misses"] == 0 and again["hits"] == len(programs)
+
+    def test_only_what_is_new_is_looked_at_and_what_is_whole_stays(self, tmp_path):
+        from jax._src.compilation_cache import compress_executable
+
+        whole = compress_executable(os.urandom(1000))
+        for name, content in (("whole", whole), ("cut", whole[:-1]), ("empty", b"")):
+            (tmp_path / f"{name}-cache").write_bytes(content)
+        platform._remove_damaged(tmp_path)
+        assert {file.name for file in tmp_path.glob("*-cache")} == {"whole-cache"}
+        (tmp_path / "old-cache").write_bytes(whole[:-1])
+        os.utime(tmp_path / "old-cache", (1, 1))
+        platform._remove_damaged(tmp_path)
+        assert (tmp_path / "old-cache").exists()

@@ -107,7 +107,7 @@ def test_failed_starts():
 @pytest.mark.parametrize(
     "spoilt",
     [
-        lambda data: replace(data, stress_ratio=100 * data.stress_ratio),  # 1000 times, kPa over MPa, is refused when read
+        lambda data: replace(data, stress_ratio=100 * data.stress_ratio),  # 1000 times is refused
         lambda data: replace(data, axial_strain=data.axial_strain / 20),
         lambda data: replace(data, stress_ratio=data.stress_ratio[::-1] + 2),
         lambda data: replace(data, stress_ratio=100 * data.stress_ratio, sigma_known=True),

@@ -85,7 +85,7 @@ def test_a_pipe_gets_a_few_plain_lines(finished):
     assert "26 balls" in lines[0] and "confined in" in lines[1] and "peak stress ratio" in lines[2]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interrupted_and_resumed_is_the_run_that_never_stopped(number, finished, tmp_path, monkeypatch):
     folder = tmp_path / "small"
     called = interrupted(folder, monkeypatch, number=number)

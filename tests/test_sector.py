@@ -18,7 +18,7 @@ from axijax.dynamics import Params, Scene, all_forces, initial_state, make_step,
 from axijax.membrane import Load
 from axijax.neighbors import build_network, carry_springs
 from axijax.packing import Specimen, cut_to_sector, fcc_octagon
-from axijax.sector import Sector, radial_distance
+from axijax.sector import ON_AXIS, Sector, radial_distance
 from axijax.vector import from_rows
 
 TRAP_RATE = 0.1
@@ -428,3 +428,10 @@ def crowded(order, rng):
             continue
         positions, radius = trial.positions, trial.radius
     return specimen_of(positions, radius)
+
+
+@pytest.mark.parametrize(("distance", "on"), [(0.0, True), (0.9, True), (1.1, False)])
+def test_a_ball_is_on_the_axis_within_a_millionth_of_its_radius(distance, on):
+    radius = 20.0
+    place = np.array([[distance * 1e-6 * radius], [0.0], [5.0]])
+    assert Sector(4).on_axis(place, radius)[0] == on and ON_AXIS == 1e-6
