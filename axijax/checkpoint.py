@@ -27,7 +27,7 @@ from axijax.results import write_whole
 from axijax.triaxial import Progress, TriaxialTest
 
 FORMAT = "axijax shear in progress"
-VERSION = 2
+VERSION = 3
 
 
 def save_progress(path: Path, test: TriaxialTest, progress: Progress) -> None:

@@ -30,7 +30,7 @@ from axijax.confinement import (
 )
 from axijax.curve import Curve, SimulationError, make_curve, no_records, raise_for_status, warn_of_chatter
 from axijax.dynamics import Params, Scene, State, check_params, positions
-from axijax.membrane import Load, Membrane, build_membrane, membrane_radius
+from axijax.membrane import Load, Membrane, build_membrane
 from axijax.neighbors import Network, build_network
 from axijax.observe import Observation
 from axijax.packing import Specimen, cut_to_sector
@@ -228,25 +228,19 @@ class TriaxialTest:
     def _go_on(self, now: "Progress") -> "Progress":
         """About 1000 steps further, or until a list is worn; lists that are worn are made anew first."""
         network, membrane, state = now.network, now.membrane, now.state
-        swelling = now.swelling
         if now.worn:
-            radius_before = _radius_now(network, membrane, state)
             network, membrane, state = rebuilt(self.cut, network, membrane, state)
-            if self.cut.zone_rule == "exposure":
-                swelling *= radius_before / _radius_now(network, membrane, state)
         stretch = replace(self.protocol, blocks=-(-SEGMENT // self.record_every))
         prepared = self.prepared(network, membrane)
         state, seen, status, records, done, worn = shear_until_worn(
             self.scene, stretch, prepared, now.params, state, now.fixed, now.done, now.worn
         )
         seen = jax.tree.map(lambda values: np.asarray(values)[: int(records)], seen)
-        seen = seen._replace(membrane_radius=seen.membrane_radius * swelling)
         joined = jax.tree.map(np.append, now.records, seen)
         if int(status):
             raise_for_status(status, make_curve(joined, now.confinement))
         return now._replace(
-            network=network, membrane=membrane, state=state, records=joined, swelling=swelling,
-            done=int(done), worn=bool(worn),
+            network=network, membrane=membrane, state=state, records=joined, done=int(done), worn=bool(worn)
         )  # fmt: skip
 
     def prepared(self, network: Network, membrane: Membrane) -> Prepared:
@@ -261,8 +255,6 @@ class Progress(NamedTuple):
     fixed: the lateral load where it does not follow the membrane's cells.
     height: distance of the platens at the end of confinement [L].
     records: what was observed so far, T values each.
-    swelling: by which Rm is multiplied in the records of a zone found by exposure, so that balls that join or leave the
-        zone are no change of volume; what is left is the work of the membrane over s3 [-].
     done: steps taken since the last record. worn: the lists must be made anew before the next step.
     """
 
@@ -274,7 +266,6 @@ class Progress(NamedTuple):
     confinement: Confinement
     height: float
     records: Observation
-    swelling: float = 1.0
     done: int = 0
     worn: bool = False
 
@@ -318,6 +309,3 @@ class Run(NamedTuple):
         """Ball centres at the end, (3, N) [L]; ball i is ball i of the test's `cut` throughout."""
         return np.asarray(positions(self.network, self.state))
 
-
-def _radius_now(network: Network, membrane: Membrane, state: State) -> float:
-    return float(jax.jit(membrane_radius)(membrane, positions(network, state)))
