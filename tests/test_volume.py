@@ -116,8 +116,8 @@ def test_a_ball_squeezed_out_does_not_lift_the_surface():
 
 
 def test_nothing_deep_enough_has_no_void_ratio():
-    places = np.array([[1.0, -1.0], [0.0, 0.0], [1.0, 1.0]])
-    assert np.isnan(float(voids(places, np.ones(2), Sector(1), np.array([0.0, 2.0]))))
+    places = np.array([[1.0, -1.0], [0.0, 0.0], [10.0, 10.0]])
+    assert np.isnan(float(voids(places, np.ones(2), Sector(1), np.array([0.0, 20.0]))))
 
 
 # In a test
@@ -125,12 +125,12 @@ def test_nothing_deep_enough_has_no_void_ratio():
 
 @pytest.fixture(scope="module")
 def random_test():
-    specimen, report = random_cylinder(80, Sector(2), seed=1)
+    specimen, report = random_cylinder(100, Sector(2), seed=1, tolerance=1e-4)
     params = Params(friction=0.4)
-    params = replace(params, platen_speed=platen_speed(1e-2, specimen, params))
+    params = replace(params, platen_speed=platen_speed(4e-3, specimen, params))
     return TriaxialTest(
         specimen, Sector(2), params=params, axial_strain=0.02, confining_friction=report.compaction_friction,
-        tolerance=1e-3, confine_steps=100_000, rebuild_every=2, record_every=20,
+        tolerance=1e-3, confine_steps=100_000, rebuild_every=2,
     )  # fmt: skip
 
 
@@ -155,6 +155,7 @@ def test_a_change_of_the_zone_is_no_change_of_volume(random_test):
 def test_run_and_simulate_share_volume_as_long_as_they_share_a_trajectory(random_test):
     """Lists made anew every other record, or when worn. They part when a zone has changed in one of them first."""
     run, simulated = random_test.run().curve, random_test.simulate(random_test.params)
+    assert int(simulated.status) == 0
     size = run.axial_strain.size
     apart = np.abs(np.asarray(simulated.stress_ratio[:size]) - run.stress_ratio) > 1e-7
     shared = int(apart.argmax()) if apart.any() else size
