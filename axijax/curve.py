@@ -41,7 +41,9 @@ class Curve:
     """The record of a test: fields of T values, compression positive. Stress ratios as in `observe.Observation`.
 
     axial_strain: shortening over the height at the end of confinement [-].
-    volumetric_strain: loss of volume pi Rm^2 H over its value at the end of confinement [-].
+    volumetric_strain: loss of volume over the volume at the end of confinement [-]; what the volume is, see
+        `axijax.volume`.
+    void_ratio: counted below the skin, as there [-].
     confinement: what was observed at the end of confinement; stress_error there is |s1 - s3| / s3.
     status: bits, zero for a sound run (see `raise_for_status`).
     """
@@ -51,6 +53,7 @@ class Curve:
     virial_ratio: jax.Array
     core_ratio: jax.Array
     volumetric_strain: jax.Array
+    void_ratio: jax.Array
     coordination_number: jax.Array
     unbalanced_force: jax.Array
     sliding_fraction: jax.Array
@@ -154,13 +157,13 @@ def warn_of_chatter(curve: Curve) -> None:
 def make_curve(seen: Observation, balance: Confinement, status=0) -> Curve:
     """A curve from T observations, strains counted from the first."""
     status = status | jnp.where(seen.chatter[jnp.argmax(seen.stress_ratio)] > CHATTER, UNSTABLE, 0)
-    volume = seen.membrane_radius**2 * seen.height
     return Curve(
         axial_strain=1 - seen.height / seen.height[0],
         stress_ratio=seen.stress_ratio,
         virial_ratio=seen.virial_ratio,
         core_ratio=seen.core_ratio,
-        volumetric_strain=1 - volume / volume[0],
+        volumetric_strain=1 - seen.volume / seen.volume[0],
+        void_ratio=seen.void_ratio,
         coordination_number=seen.coordination_number,
         unbalanced_force=seen.unbalanced_force,
         sliding_fraction=seen.sliding_fraction,
