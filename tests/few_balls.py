@@ -4,6 +4,7 @@ A flat frictional plane is a ball of radius PLANE, whose mass keeps it at rest; 
 that it and the plane's normal lie in x, y. Units here: ball radius, mass and normal stiffness 1.
 """
 
+from dataclasses import dataclass
 from functools import partial
 
 import jax
@@ -14,8 +15,10 @@ from axijax import Hertz, Linear, Params, Scene, Sector, Specimen
 from axijax.dynamics import initial_state, make_step
 from axijax.membrane import Load
 from axijax.neighbors import Network, build_network
+from axijax.quantity import quantity
 from axijax.state import State
-from axijax.vector import from_rows
+from axijax.term import Push, Spent, Term, share_of_sector
+from axijax.vector import Vector, from_rows
 
 PLANE = 1e6
 UNIT_MASS = 3 / (4 * np.pi)  # density at which a ball of radius 1 has mass 1
@@ -39,6 +42,23 @@ def hertz_params(**changes) -> Params:
     """The same of Hertzian balls with E* = 1."""
     material = Hertz(friction=0.3, density=UNIT_MASS, damping=None, shear_modulus=1 - NU, poisson_ratio=NU)
     return Params(material, **({"confining_stress": 1.0} | changes))
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Pull(Term):
+    """A constant force along z on every ball: the least that a further term can be."""
+
+    pull: jax.Array | float = quantity(0.0, "force along z on every ball", "F", coordinate="linear", least=-np.inf)
+
+    stiffens = False
+
+    def forces(self, network, dt, state, memory) -> Push:
+        still = jnp.zeros_like(network.radius)
+        return Push(Vector(still, still, still + self.pull))
+
+    def spent(self, network, dt, state, memory, push, mean) -> Spent:
+        return Spent(work=dt * share_of_sector(network, push.force.dot(mean.velocity)))
 
 
 def few_balls(
