@@ -4,7 +4,6 @@ Units as in few_balls.py: ball radius and mass 1; the modulus E* = G/(1 - nu) is
 """
 
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 
 import jax
@@ -16,7 +15,7 @@ from jax.flatten_util import ravel_pytree
 from scipy.integrate import quad, solve_ivp
 from test_lattices import block, stress_after, unstrained
 
-from axijax import Dashpot, Hertz, Linear, Params, Scene
+from axijax import Dashpot, Hertz, Params, Scene
 from axijax.contacts import Geometry, contact_forces, elastic_force, frictional_law, frictionless_force
 from axijax.curve import raise_for_status
 from axijax.dynamics import initial_state, make_step

@@ -266,7 +266,7 @@ def test_rigid_planes_take_their_part_in_the_stress():
     test = Case.model_validate(CASE | {"sector": {"boundary": "rigid"}}).build()
     network, zero = test.network, np.zeros(())
     platens = np.array([test.cut.bottom, test.cut.top])
-    state = initial_state(network, test.scene, platens)._replace(displacement=network.positions * -1e-3)
+    state = initial_state(test.scene, test.params, network, platens)._replace(displacement=network.positions * -1e-3)
     balance = Confinement(zero, zero, zero)
     now = Progress(test.params, network, test.membrane, state, None, balance, test.cut.height, no_records())
     moment = snapshot(test, now, full=True)

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from test_neighbors import ANY_OVERLAP, every_pair, from_both_sides, listed, random_balls
 
-from axijax import triaxial
+from axijax import Params, triaxial
 from axijax.confinement import current_load
 from axijax.curve import SimulationError
-from axijax.dynamics import Params
-from axijax.neighbors import build_network, carry_springs
+from axijax.neighbors import build_network, carry_memory
 from axijax.packing import fcc_octagon
 from axijax.sector import Sector
+from axijax.term import Memory
 from axijax.triaxial import TriaxialTest
 from axijax.update import FULL_LIST, NOT_FINITE, STALE_LIST, Grid, allocate, update
 from axijax.vector import from_rows
@@ -61,7 +61,7 @@ def test_updated_list_is_that_of_every_pair_and_of_the_host(order, boundary):
         ours, theirs = np.asarray(getattr(made, name)), np.asarray(getattr(host, name))
         assert ours.dtype == theirs.dtype
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-14, err_msg=name)
-    np.testing.assert_array_equal(np.asarray(carried), np.asarray(carry_springs(network, host, springs)))
+    np.testing.assert_array_equal(np.asarray(carried), np.asarray(carry_memory(network, host, (Memory(springs),))[0].contact))
     force = made.sum_on_balls(made.branch * (made.image >= 0), reaction=-1)
     expected = np.zeros((3, len(specimen)))
     for (i, _, _), branch in pairs.items():

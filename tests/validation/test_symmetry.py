@@ -42,7 +42,7 @@ def test_positions_agree_from_one_symmetric_state(tests):
         full = cut_to_sector(fcc_octagon(), Sector(n))
         image, ball = _which(quarter, full.positions)
         displacement = Sector(4).rotate(np.asarray(confined.displacement)[:, ball], image)
-        state = initial_state(test.network, test.scene, confined.platens)
+        state = initial_state(test.scene, test.params, test.network, confined.platens)
         state = state._replace(displacement=type(state.displacement)(*displacement))
         step = make_step(test.scene, platen_ramp(test.ramp_time))
         load = membrane_load(test.membrane, positions(test.network, state), *state.platens)
