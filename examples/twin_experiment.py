@@ -36,7 +36,7 @@ axijax.fast_cpu_kernels()  # forward mode only, four times as fast; before anyth
 import jax  # noqa: E402
 import numpy as np  # noqa: E402
 
-from axijax.dynamics import Params  # noqa: E402
+from axijax import Params  # noqa: E402
 from axijax.packing import fcc_octagon  # noqa: E402
 from axijax.triaxial import TriaxialTest  # noqa: E402
 from calibrate import MeasuredCurve, Model, ParameterSet, RunFailed, fit_by_descent, fit_parameters  # noqa: E402

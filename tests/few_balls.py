@@ -49,7 +49,7 @@ def hertz_params(**changes) -> Params:
 class Pull(Term):
     """A constant force along z on every ball: the least that a further term can be."""
 
-    pull: jax.Array | float = quantity(0.0, "force along z on every ball", "F", coordinate="linear", least=-np.inf)
+    pull: jax.Array | float = quantity(0.0, "force along z on every ball", "F", coordinate="linear", least=-np.inf)  # noqa: RUF009
 
     stiffens = False
 

@@ -74,7 +74,10 @@ CASES = {
     "negative stress": (lambda: triaxial(params=Params(confining_stress=-5.0)), ["confining_stress = -5", "positive"]),
     "weightless": (lambda: triaxial(params=Params(density=0.0)), ["density = 0", "positive"]),
     "negative damping": (lambda: triaxial(params=Params(damping_ratio=-0.05)), ["damping_ratio = -0.05"]),
-    "local damping of 1": (lambda: triaxial(params=Params(damping=LocalDamping(1.0))), ["local_damping = 1", "below 1"]),
+    "local damping of 1": (
+        lambda: triaxial(params=Params(damping=LocalDamping(1.0))),
+        ["local_damping = 1", "below 1"],
+    ),
     "local damping of nothing": (lambda: Params(local_damping=0.5), ["local_damping = 0.5", "would do nothing"]),
     "dashpots of nothing": (
         lambda: replace(Params(damping=None), damping_ratio=0.1),

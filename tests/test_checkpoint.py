@@ -221,8 +221,8 @@ def test_parameters_beside_a_start_are_refused(test_of, stopped):
 def test_every_part_of_a_progress_is_written(stopped):
     with np.load(stopped) as archive:
         parts = {name.split(".")[0] for name in archive.files}
-    assert parts == {*triaxial.Progress._fields, "header"} - {"fixed"}
         params = {name for name in archive.files if name.startswith("params.")}
+    assert parts == {*triaxial.Progress._fields, "header"} - {"fixed"}
     names = {"material." + each.name for each in fields(Linear)} | {each.name for each in fields(Params)}
     gone = {"material", "material.platen_friction", "material.damping", "terms"}  # parts, or not there
     expected = names - gone | {"material.damping." + each.name for each in fields(Dashpot)}

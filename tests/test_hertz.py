@@ -114,8 +114,8 @@ def test_dashpots_restore_the_same_share_of_any_speed(beta):
 
 def pair(radius=(1.0, 1.0)):
     """A network of two touching balls along x."""
-    network, _ = few_balls(hertz_params(), [[0, sum(radius)], [0, 0], [0, 0]], np.zeros((3, 2)), radius=np.array(radius))
-    return network
+    place = [[0, sum(radius)], [0, 0], [0, 0]]
+    return few_balls(hertz_params(), place, np.zeros((3, 2)), radius=np.array(radius))[0]
 
 
 def led(network, paths, friction=1e6):

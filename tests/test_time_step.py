@@ -25,6 +25,7 @@ from axijax.vector import Vector
 RADIUS, STIFFNESS, DENSITY = 20.0, 1.5e9, 2000.0
 MASS = 4 / 3 * np.pi * RADIUS**3 * DENSITY
 UNIT = (MASS / STIFFNESS) ** 0.5  # sqrt(m/K)
+SCENE = Scene()
 QUARTER, FULL, RIGID = Sector(4), Sector(1), Sector(4, "rigid")
 
 
@@ -33,7 +34,7 @@ def octagon_network(sector, layers=25, half_width=9):
     return build_network(cut_to_sector(fcc_octagon(RADIUS, layers, half_width), sector), sector)
 
 
-def limit(network, scene=Scene(), damping=None, **params):
+def limit(network, scene=SCENE, damping=None, **params):
     """Critical time step over sqrt(m/K), undamped by default."""
     return critical_time_step(scene, Params(damping=damping, **params), network) / UNIT
 
@@ -100,9 +101,7 @@ def test_stiffness_ratio_and_dashpots(stiffness_ratio, damping_ratio):
     """Against the lattice's two modes. Around ks/kn = 0.2 dashpots make the spin mode the worst although it is not
     the fastest: there 2/omega (sqrt(1 + xi^2) - xi) of the fastest mode alone is up to 46 % too long."""
     expected = theory.lattice_critical_time_step("fcc", MASS, STIFFNESS, stiffness_ratio * STIFFNESS, damping_ratio)
-    found = limit(
-        octagon_network(QUARTER), damping=Dashpot(damping_ratio), shear_stiffness=stiffness_ratio * STIFFNESS
-    )
+    found = limit(octagon_network(QUARTER), damping=Dashpot(damping_ratio), shear_stiffness=stiffness_ratio * STIFFNESS)
     assert 1 < found / (float(expected) / UNIT) < 1.035
 
 

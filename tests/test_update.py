@@ -61,7 +61,8 @@ def test_updated_list_is_that_of_every_pair_and_of_the_host(order, boundary):
         ours, theirs = np.asarray(getattr(made, name)), np.asarray(getattr(host, name))
         assert ours.dtype == theirs.dtype
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-14, err_msg=name)
-    np.testing.assert_array_equal(np.asarray(carried), np.asarray(carry_memory(network, host, (Memory(springs),))[0].contact))
+    by_host = carry_memory(network, host, (Memory(springs),))[0].contact
+    np.testing.assert_array_equal(np.asarray(carried), np.asarray(by_host))
     force = made.sum_on_balls(made.branch * (made.image >= 0), reaction=-1)
     expected = np.zeros((3, len(specimen)))
     for (i, _, _), branch in pairs.items():

@@ -5,8 +5,8 @@
 Started by `peers.Ours`, pinned to its cores before JAX counts them. Prints a line of JSON when it is ready, and one for
 every line of JSON on its standard input: {} runs once more, {"friction": 0.2} with that friction.
 
-Options: specimen (of fcc_octagon), order, test (of TriaxialTest), params, damping, dtype, share (of the critical time
-step), lattice (rotation blocked, stiffness times ten, loaded as the infinite lattice), and
+Options: specimen (of fcc_octagon), order, test (of TriaxialTest), params, damping ("dashpot" or "local"), dtype, share
+(of the critical time step), lattice (rotation blocked, stiffness times ten, loaded as the infinite lattice), and
 what: "shear" is the shear alone from the confined state, `blocks` records of 50 steps with fixed cells, as the peers do
     it; "whole" is confinement and shear, what a user waits for; "slopes" is the shear of the test, read by peak
     functionals, for derivatives with respect to friction, on which the confined state does not depend.
@@ -44,8 +44,9 @@ DIRECTIONS = ("friction", "normal_stiffness", "shear_stiffness")
 def make_test(options) -> axijax.TriaxialTest:
     specimen = axijax.fcc_octagon(**options.get("specimen", {}))
     sector = axijax.Sector(options.get("order", 4))
-    scene = axijax.Scene(damping=options.get("damping", "dashpot"))
-    params = axijax.Params(**options.get("params", {}))
+    scene = axijax.Scene()
+    damping = {"dashpot": axijax.Dashpot(), "local": axijax.LocalDamping()}[options.get("damping", "dashpot")]
+    params = axijax.Params(damping=damping, **options.get("params", {}))
     keywords = {"tolerance": 1e-2, "dtype": np.dtype(options.get("dtype", "float64")).type, **options.get("test", {})}
     if options.get("lattice"):
         from axijax.lattice import lattice_load
@@ -92,7 +93,7 @@ class Program:
 
         confined, balance = test.confine()
         prepared = test.prepared(test.network, test.membrane)
-        state = start_shear(test.scene, test.network, confined)
+        state = start_shear(test.scene, test.params, test.network, confined)
         slopes = options.get("what") == "slopes"
         protocol = test.protocol if slopes else replace(test.protocol, refresh=False, blocks=options["blocks"])
         fixed = fixed_load(protocol, prepared, state)

@@ -49,9 +49,14 @@ def write_scene(path: Path, test, state, load) -> None:
     """
     if test.sector.order != 1 or np.ptp(test.cut.radius) > 0:
         raise ValueError("peers take the full cylinder (sector order 1) of equal balls.")
+    from axijax.damping import LocalDamping
     from axijax.dynamics import positions
+    from axijax.quantity import present
 
     params = test.params
+    # Peers may be asked for local damping where ours has dashpots.
+    numbers = {"local_damping": LocalDamping().local_damping}
+    numbers |= {name: float(value) for name, (_, value) in present(params).items()}
     np.savez(
         path,
         positions=np.asarray(positions(test.network, state)),
@@ -61,7 +66,7 @@ def write_scene(path: Path, test, state, load) -> None:
         section=float(load.section),
         time_step=test.time_step,
         ramp_time=test.ramp_time,
-        **{name: float(value) for name, value in vars(params).items()},
+        **numbers,
     )
 
 
