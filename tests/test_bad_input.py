@@ -84,7 +84,6 @@ CASES = {
         ["damping_ratio = 0.1", "would do nothing"],
     ),
     "stiffness of Hertzian balls": (lambda: Params(Hertz(), normal_stiffness=1.0), ["normal_stiffness = 1.0", "Hertz"]),
-    "misspelt": (lambda: Params(frictoin=0.5), ["frictoin = 0.5", "did you mean 'friction'?"]),
     "negative platen friction": (
         lambda: triaxial(params=Params(platen_friction=-0.3)),
         ["platen_friction = -0.3", "zero or positive"],
