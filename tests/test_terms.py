@@ -377,23 +377,26 @@ def test_an_image_on_a_rough_platen_is_held_as_the_ball_itself():
 
 
 @pytest.fixture(scope="module")
-def small() -> TriaxialTest:
-    return TriaxialTest(
+def rough():
+    """Curve of a small test between rough platens, and its tangent, as a function of their friction."""
+    test = TriaxialTest(
         fcc_octagon(layers=5, half_width=3), Sector(4), params=Params(platen_friction=0.2), axial_strain=0.001,
         record_every=20, tolerance=1e-5,
     )  # fmt: skip
+    return jit(lambda f: jax.jvp(lambda f: test.simulate(replace(test.params, platen_friction=f)), (f,), (1.0,)))
 
 
-def test_tangent_with_respect_to_platen_friction_agrees_with_differences(small):
-    """Of the stress ratio of a whole test at its middle and end."""
-
-    def ratio(f):
-        return small.simulate(replace(small.params, platen_friction=f)).stress_ratio[10:]
-
-    both, h = jit(lambda f: jax.jvp(ratio, (f,), (1.0,))), 1e-5
-    slope, (more, _), (less, _) = both(0.2)[1], both(0.2 + h), both(0.2 - h)
+def test_tangent_with_respect_to_platen_friction_agrees_with_differences(rough):
+    """Of the stress ratio of a whole test, from its middle on."""
+    h = 1e-5
+    slope, more, less = rough(0.2)[1].stress_ratio[10:], *(rough(0.2 + d)[0].stress_ratio[10:] for d in (h, -h))
     assert np.abs(slope).max() > 0.01, "platen friction matters"
     np.testing.assert_allclose(slope, (more - less) / (2 * h), rtol=1e-3, atol=1e-5)
+
+
+def test_the_shear_starts_from_the_balance_of_the_confinement(rough):
+    """What rough platens held at its end they hold on."""
+    assert float(rough(0.2)[0].unbalanced_force[0]) < 1e-4
 
 
 def test_platens_without_friction_are_smooth_to_the_last_bit():
