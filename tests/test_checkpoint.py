@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from axijax import Dashpot, Hertz, Linear, LocalDamping, Params, Scene, triaxial
+from axijax import Dashpot, Linear, LocalDamping, Params, Scene, triaxial
 from axijax.checkpoint import load_progress, save_progress
 from axijax.packing import fcc_octagon
 from axijax.sector import Sector
@@ -199,7 +199,6 @@ OTHER_TESTS = {
     "sector": {"sector": Sector(1)},
     "scene": {"scene": Scene(rotation=False)},
     "params": {"params": Params(platen_speed=0.03, damping=LocalDamping())},
-    "material": {"params": Params(Hertz(), platen_speed=0.03)},
     "time_step": {"time_step": 0.02},
     "record_every": {"record_every": 25},
 }

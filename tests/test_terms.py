@@ -179,7 +179,7 @@ def test_sliding_ball_begins_to_roll_on_a_platen(make, side):
     assert np.mean(along[rolling + 100 :]) == pytest.approx(speed, rel=1e-3)
     assert np.abs((along - turning)[rolling:]).max() < 0.02 * v0, "what is left swings in the spring"
     sideways = np.array([-DIRECTION[1], DIRECTION[0], 0.0])
-    np.testing.assert_allclose(np.einsum("i,itk->tk", sideways, np.asarray(states.velocity)), 0, atol=1e-14 * v0)
+    np.testing.assert_allclose(np.einsum("i,itk->tk", sideways, np.asarray(states.velocity)), 0, atol=1e-12 * v0)
 
 
 @pytest.mark.parametrize("radius", [1.0, 2.0])
@@ -243,8 +243,8 @@ def test_a_pushed_ball_sticks_up_to_twice_f_n_and_slides_above(make, f):
             load = constant_load([[part * force], [0.0]])
             end = run(params, network, load, 0.05, 2000, end)
         if share < 1 or f == INF:
-            assert float(end.displacement.x[0]) == pytest.approx(force / (2 * shear), rel=1e-9)
-            assert abs(float(end.velocity.x[0])) < 1e-9 * force
+            assert float(end.displacement.x[0]) == pytest.approx(force / (2 * shear), rel=1e-6)
+            assert abs(float(end.velocity.x[0])) < 1e-6 * force
         else:
             later = run(params, network, load, 0.05, 400, end)
             acceleration = float(later.velocity.x[0] - end.velocity.x[0]) / 20.0
