@@ -45,8 +45,8 @@ def make_test(options) -> axijax.TriaxialTest:
     specimen = axijax.fcc_octagon(**options.get("specimen", {}))
     sector = axijax.Sector(options.get("order", 4))
     scene = axijax.Scene()
-    damping = {"dashpot": axijax.Dashpot(), "local": axijax.LocalDamping()}[options.get("damping", "dashpot")]
-    params = axijax.Params(damping=damping, **options.get("params", {}))
+    damping = {"dashpot": {}, "local": {"damping": axijax.LocalDamping()}}[options.get("damping", "dashpot")]
+    params = axijax.Params(**damping, **options.get("params", {}))
     keywords = {"tolerance": 1e-2, "dtype": np.dtype(options.get("dtype", "float64")).type, **options.get("test", {})}
     if options.get("lattice"):
         from axijax.lattice import lattice_load
