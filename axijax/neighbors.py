@@ -284,10 +284,12 @@ def places_in(old: Network, new: Network) -> tuple[jax.Array, jax.Array]:
     Both lists must describe every ball by the same image.
     """
     before, after = (keys(each, each.first, each.second, each.image) for each in (old, new))
-    place = jnp.minimum(jnp.searchsorted(before, after), before.size - 1)
+    order = jnp.argsort(before)
+    place = order[jnp.minimum(jnp.searchsorted(before, after, sorter=order), before.size - 1)]
     return place, (before[place] == after) & (new.image >= 0)
 
 
+@jax.jit
 def carry(old: Network, new: Network, values: Any) -> Any:
     """What belongs to the old list's contacts, a pytree of (C,) arrays, at each contact's place in the new list; zero
     for contacts that the old list does not hold."""
@@ -295,7 +297,6 @@ def carry(old: Network, new: Network, values: Any) -> Any:
     return jax.tree.map(lambda part: jnp.where(known, part[place], jnp.zeros((), part.dtype)), values)
 
 
-@jax.jit
 def carry_memory(old: Network, new: Network, memory: tuple["Memory", ...]) -> tuple["Memory", ...]:
     """The terms' memory, with what belongs to contacts carried to a new list."""
     return tuple(each._replace(contact=carry(old, new, each.contact)) for each in memory)

@@ -79,9 +79,10 @@ def prepare(test: "TriaxialTest") -> Prepared:
     else:
         network = build_network(cut, sector, dtype=test.dtype)
         membrane = build_membrane(cut, sector, dtype=test.dtype)
-    limit = critical_time_step(test.scene, params, network)
-    step = DEFAULT_STEP * limit if test.time_step is None else test.time_step
-    if not test.allow_unsafe_step:
+    step = test.time_step
+    if step is None or not test.allow_unsafe_step:
+        limit = critical_time_step(test.scene, params, network)
+        step = DEFAULT_STEP * limit if step is None else step
         check_step(step, limit)
     ramp = 8 * cut.height / wave_speed(params, network)
     speed = float(params.platen_speed)

@@ -44,9 +44,9 @@ def packings(options):
 def sheared(specimen, report, sector, friction, strain) -> dict:
     """Shear one specimen and return what the study keeps of it."""
     import axijax
-    from axijax.rebuild import specimen_now
     from axijax.fabric import contact_statistics, profiles
     from axijax.random_packing import platen_speed
+    from axijax.rebuild import specimen_now
     from axijax.results import RECORDS
 
     params = axijax.Params(friction=friction)

@@ -6,8 +6,8 @@ import jax
 import numpy as np
 import pytest
 
+from axijax import Dashpot, Hertz, LocalDamping, Params
 from axijax.curve import SimulationError, raise_for_status
-from axijax.dynamics import Params, Scene
 from axijax.membrane import Load, build_membrane
 from axijax.neighbors import build_network
 from axijax.packing import Specimen, cut_to_sector, fcc_cylinder, fcc_octagon
@@ -67,7 +67,8 @@ CASES = {
     "not a number": (lambda: Sector(True), ["order = True"]),
     "unknown boundary": (lambda: Sector(4, "mirror"), ["boundary = 'mirror'", "'periodic'", "'rigid'"]),
     "rigid half": (lambda: Sector(2, "rigid"), ["order = 2", "rigid"]),
-    "unknown damping": (lambda: Scene(damping="viscous"), ["damping = 'viscous'", "'dashpot'"]),
+    "unknown damping": (lambda: triaxial(params=Params(damping="viscous")), ["damping = 'viscous'", "Dashpot"]),
+    "unknown material": (lambda: triaxial(params=Params("soft")), ["material = 'soft'", "axijax.Linear()"]),
     "negative stiffness": (
         lambda: triaxial(params=Params(normal_stiffness=-1.5)),
         ["normal_stiffness = -1.5", "positive"],
@@ -81,14 +82,28 @@ CASES = {
     "negative stress": (lambda: triaxial(params=Params(confining_stress=-5.0)), ["confining_stress = -5", "positive"]),
     "weightless": (lambda: triaxial(params=Params(density=0.0)), ["density = 0", "positive"]),
     "negative damping": (lambda: triaxial(params=Params(damping_ratio=-0.05)), ["damping_ratio = -0.05"]),
-    "local damping of 1": (lambda: triaxial(params=Params(local_damping=1.0)), ["local_damping = 1", "below 1"]),
+    "local damping of 1": (
+        lambda: triaxial(params=Params(damping=LocalDamping(1.0))),
+        ["local_damping = 1", "below 1"],
+    ),
+    "local damping of nothing": (lambda: Params(local_damping=0.5), ["local_damping = 0.5", "would do nothing"]),
+    "dashpots of nothing": (
+        lambda: replace(Params(damping=None), damping_ratio=0.1),
+        ["damping_ratio = 0.1", "would do nothing"],
+    ),
+    "stiffness of Hertzian balls": (lambda: Params(Hertz(), normal_stiffness=1.0), ["normal_stiffness = 1.0", "Hertz"]),
+    "negative platen friction": (
+        lambda: triaxial(params=Params(platen_friction=-0.3)),
+        ["platen_friction = -0.3", "zero or positive"],
+    ),
     "no speed": (lambda: triaxial(params=Params(platen_speed=0.0)), ["platen_speed = 0", "positive"]),
     "NaN friction": (lambda: triaxial(params=Params(friction=NAN)), ["friction = nan", "finite"]),
     "NaN stiffness": (lambda: triaxial(params=Params(normal_stiffness=NAN)), ["normal_stiffness = nan", "finite"]),
     "NaN stress": (lambda: triaxial(params=Params(confining_stress=NAN)), ["confining_stress = nan", "finite"]),
     "infinite density": (lambda: triaxial(params=Params(density=np.inf)), ["density = inf", "finite"]),
     "words": (lambda: triaxial(params=Params(friction="rough")), ["friction = 'rough'", "number"]),
-    "None": (lambda: triaxial(params=Params(friction=None)), ["friction = None", "number"]),
+    "None": (lambda: triaxial(params=Params(density=None)), ["density = None", "number"]),
+    "no damping ratio": (lambda: triaxial(params=Params(damping=Dashpot(None))), ["damping_ratio = None", "number"]),
     "friction of two balls only": (
         lambda: triaxial(params=Params(friction=np.array([0.1, 0.2]))),
         ["friction", "2", "ball"],
@@ -199,7 +214,7 @@ def test_the_longest_step_allowed_is_accepted():
     """The limit in the sentence is the one that is applied."""
     test = triaxial()
     limit = critical_time_step(test.scene, test.params, test.network)
-    assert triaxial(time_step=0.8 * limit).time_step == pytest.approx(0.8 * limit)
+    assert triaxial(time_step=0.8 * limit).prepared.time_step == pytest.approx(0.8 * limit)
 
 
 @pytest.mark.parametrize("field, value", [("platen_speed", -0.01), ("platen_speed", 0.0), ("friction", -0.1)])

@@ -127,8 +127,11 @@ def test_what_is_hashed():
     assert one == identity(tiny(), dataclasses.replace(test.params, friction=jnp.float64(test.params.friction)))
     others = [
         (dataclasses.replace(test, axial_strain=0.0007), test.params),
-        (dataclasses.replace(test, scene=axijax.Scene(rotation=False, damping="local")), test.params),
-        (dataclasses.replace(test, time_step=0.9 * test.time_step), test.params),
+        (dataclasses.replace(test, scene=axijax.Scene(rotation=True)), test.params),
+        (test, dataclasses.replace(test.params, damping=axijax.LocalDamping())),
+        (test, dataclasses.replace(test.params, damping=axijax.LocalDamping(test.params.damping_ratio))),
+        (test, dataclasses.replace(test.params, damping=None)),
+        (dataclasses.replace(test, time_step=0.9 * test.prepared.time_step), test.params),
         (dataclasses.replace(test, sector=axijax.Sector(2)), test.params),
         (tiny(radius=40.0), test.params),
         (test, dataclasses.replace(test.params, friction=np.nextafter(test.params.friction, 1))),

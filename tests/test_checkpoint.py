@@ -8,9 +8,8 @@ import jax
 import numpy as np
 import pytest
 
-from axijax import triaxial
+from axijax import Dashpot, Linear, LocalDamping, Params, Scene, triaxial
 from axijax.checkpoint import load_progress, save_progress
-from axijax.dynamics import Params, Scene
 from axijax.packing import fcc_octagon
 from axijax.sector import Sector
 from axijax.triaxial import TriaxialTest
@@ -199,7 +198,8 @@ def test_a_foreign_file_is_refused_in_one_clear_sentence(case, test_of, stopped,
 OTHER_TESTS = {
     "specimen": {"specimen": fcc_octagon(layers=5, half_width=5)},
     "sector": {"sector": Sector(1)},
-    "scene": {"scene": Scene(damping="local")},
+    "scene": {"scene": Scene(rotation=False)},
+    "params": {"params": Params(platen_speed=0.03, damping=LocalDamping())},
     "time_step": {"time_step": 0.02},
     "record_every": {"record_every": 25},
     "tolerance (1e-06 here, 1e-05 there)": {"tolerance": 1e-6},
@@ -224,5 +224,9 @@ def test_parameters_beside_a_start_are_refused(test_of, stopped):
 def test_every_part_of_a_progress_is_written(stopped):
     with np.load(stopped) as archive:
         parts = {name.split(".")[0] for name in archive.files}
+        params = {name for name in archive.files if name.startswith("params.")}
     assert parts == {*triaxial.Progress._fields, "header"} - {"fixed"}
-    assert fields(Params)[0].name == "friction", "the names in the file are the fields' names"
+    names = {"material." + each.name for each in fields(Linear)} | {each.name for each in fields(Params)}
+    gone = {"material", "material.platen_friction", "material.damping", "terms"}  # parts, or not there
+    expected = names - gone | {"material.damping." + each.name for each in fields(Dashpot)}
+    assert params == {"params." + name for name in expected}, "the names in the file are the fields' names"

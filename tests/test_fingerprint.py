@@ -35,7 +35,7 @@ CHANGES = {
     "params.friction": lambda test: {"params": replace(test.params, friction=np.full(len(test.cut), 0.12278))},
     "ramp_time": lambda test: {"params": replace(test.params, density=test.params.density * 2)},
     "axial_strain (0.003 here, 0.002 there)": lambda test: {"axial_strain": 0.003},
-    "time_step": lambda test: {"time_step": 0.9 * test.time_step},
+    "time_step": lambda test: {"time_step": 0.9 * test.prepared.time_step},
     "tolerance (1e-06 here, 1e-07 there)": lambda test: {"tolerance": 1e-6},
     "confining_friction (0.1 here, 0.0 there)": lambda test: {"confining_friction": 0.1},
     "confine_steps": lambda test: {"confine_steps": 30_000},

@@ -15,7 +15,6 @@ from xml.etree import ElementTree
 import jax
 import numpy as np
 import pytest
-from axijax.confinement import Confinement
 from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
 from typer.testing import CliRunner
 
@@ -24,10 +23,11 @@ from axijax import paraview, pictures, plot, results
 from axijax.case import Case
 from axijax.checks import result_checks
 from axijax.curve import RECORDS as CURVE_RECORDS
-from axijax.curve import no_records
+from axijax.curve import Confinement, no_records
 from axijax.dynamics import all_forces, initial_state
 from axijax.membrane import membrane_load
 from axijax.observe import observe
+from axijax.progress import begin
 from axijax.report import report_page
 from axijax.results import RECORDS, open_result, open_results
 from axijax.runs import run_case
@@ -74,7 +74,7 @@ def copied(folder, tmp_path):
 def forces(result):
     """All forces of the last state, as a step finds them, and what the test observes there."""
     test, now = result.test, result.progress
-    return found_in(test.scene, test.time_step, now.network, now.membrane, now.state, now.params)
+    return found_in(test.scene, test.prepared.time_step, now.network, now.membrane, now.state, now.params)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -266,13 +266,13 @@ def test_rigid_planes_take_their_part_in_the_stress():
     test = Case.model_validate(CASE | {"sector": {"boundary": "rigid"}}).build()
     network, zero = test.network, np.zeros(())
     platens = np.array([test.cut.bottom, test.cut.top])
-    state = initial_state(network, test.scene, platens)._replace(displacement=network.positions * -1e-3)
+    state = initial_state(test.scene, test.params, network, platens)._replace(displacement=network.positions * -1e-3)
     balance = Confinement(zero, zero, zero)
     now = Progress(test.params, network, test.membrane, state, None, balance, test.cut.height, no_records())
     moment = snapshot(test, now, full=True)
     balls = moment.balls
     assert balls.number.size == len(test.cut) and not balls.image.any()
-    found, _, _ = found_in(test.scene, test.time_step, network, now.membrane, state, now.params)
+    found, _, _ = found_in(test.scene, test.prepared.time_step, network, now.membrane, state, now.params)
     xx, yy, zz = (np.sum(balls.stress[a, a] * 4 / 3 * np.pi * balls.radius**3) for a in range(3))
     x, y, z = balls.positions * np.asarray(found.resultant)
     inward = moment.confining_stress * balls.membrane_area * (np.hypot(*balls.positions[:2]) + balls.radius)
@@ -416,7 +416,7 @@ def exported(result, tmp_path_factory):
     """Snapshots of the start and of the last state."""
     folder = tmp_path_factory.mktemp("snapshots") / "made"
     write = paraview.SnapshotWriter(folder, result.test, full=True)
-    write(result.test._begin(result.test.params))
+    write(begin(result.test, result.test.params))
     return folder, write(result.progress)
 
 

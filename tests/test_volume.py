@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt, label
 
-from axijax.dynamics import Params, Scene, initial_state
+from axijax import Params
+from axijax.dynamics import Scene, initial_state
 from axijax.grading import sieve_curve
 from axijax.membrane import build_membrane, membrane_load
 from axijax.observe import observe
@@ -17,7 +18,7 @@ from axijax.packing import fcc_octagon
 from axijax.random_packing import platen_speed, random_cylinder
 from axijax.sector import Sector
 from axijax.triaxial import TriaxialTest
-from axijax.update import renew
+from axijax.update import grid_for, renew
 from axijax.vector import from_rows
 from axijax.volume import void_ratio
 
@@ -135,9 +136,9 @@ def random_test():
 
 
 def seen_with(test, membrane):
-    state = initial_state(test.network, Scene(), jnp.asarray([test.cut.bottom, test.cut.top]))
+    state = initial_state(Scene(), test.params, test.network, [test.cut.bottom, test.cut.top])
     load = membrane_load(membrane, test.network.positions, *state.platens)
-    return observe(test.scene, test.params, test.network, membrane, load, test.time_step, state)
+    return observe(test.scene, test.params, test.network, membrane, load, test.prepared.time_step, state)
 
 
 def test_a_change_of_the_zone_is_no_change_of_volume(random_test):
@@ -171,14 +172,15 @@ def test_run_and_simulate_share_volume_as_long_as_they_share_a_trajectory(random
 def test_lists_made_anew_keep_the_volume_to_rounding(random_test):
     """`renew`, as inside `simulate`, at displaced balls: the same places seen from other references."""
     test = random_test
-    state = initial_state(test.network, Scene(), jnp.asarray([test.cut.bottom, test.cut.top]))
+    state = initial_state(Scene(), test.params, test.network, [test.cut.bottom, test.cut.top])
     moved = jnp.asarray(np.random.default_rng(0).normal(size=test.cut.positions.shape) * 0.5)
     state = state._replace(displacement=from_rows(moved))
-    network, membrane, after, _ = renew(test.protocol.grid, test.network, test.membrane, state)
+    network = replace(test.network, grid=grid_for(test.network))
+    network, membrane, after = renew(network, test.membrane, state)
 
     def volume(network, membrane, state):
         load = membrane_load(membrane, network.positions + state.displacement, *state.platens)
-        return float(observe(test.scene, test.params, network, membrane, load, test.time_step, state).volume)
+        return float(observe(test.scene, test.params, network, membrane, load, test.prepared.time_step, state).volume)
 
     assert volume(network, membrane, after) == pytest.approx(volume(test.network, test.membrane, state), rel=1e-12)
 
