@@ -106,7 +106,7 @@ def confine(
             return step(params, network, load, dt, state)
 
         if until_worn:
-            state, taken = until_balls_moved(further, network, CONFINE_BLOCK, state)
+            state, taken = until_balls_moved(further, network, dt, CONFINE_BLOCK, state)
         else:
             state, taken = repeat(further, CONFINE_BLOCK, state), CONFINE_BLOCK
         seen = observe(scene, params, network, membrane, load, dt, state)
@@ -195,18 +195,29 @@ def _list_wear(network: Network, state: State) -> jax.Array:
     return closing(network, state.displacement) / (WORN * network.skin)
 
 
-def until_balls_moved(step, network: Network, most: int, state: State) -> tuple[State, jax.Array]:
-    """A state after `most` steps, or fewer where the contact list is worn before; and how many it took, at least one
-    stride."""
+def until_balls_moved(step, network: Network, dt, most: int, state: State) -> tuple[State, jax.Array]:
+    """A state after `most` steps, or fewer where the contact list is worn before; and how many it took, at least one.
+
+    It looks once a stride, but a ball that flies fast (a small one that the membrane drives into a pore) ends the
+    stride before the list is worn out.
+    """
 
     def going(carry):
         state, taken = carry
         return (taken < most) & ((taken == 0) | (_list_wear(network, state) <= 1))
 
+    def outlasts(state):
+        """Whether the list holds for this step and the next, of which the next may be faster."""
+        return closing(network, state.displacement + state.velocity * (2 * dt)) <= network.skin
+
     def stride(carry):
+        def going(carry):
+            state, steps = carry
+            return (steps < end) & ((steps == taken) | outlasts(state))
+
         state, taken = carry
-        steps = jnp.minimum(STRIDE, most - taken)
-        return jax.lax.fori_loop(0, steps, lambda _, s: step(s), state), taken + steps
+        end = jnp.minimum(taken + STRIDE, most)
+        return jax.lax.while_loop(going, lambda c: (step(c[0]), c[1] + 1), carry)
 
     return jax.lax.while_loop(going, stride, (state, jnp.zeros((), jnp.int32)))
 

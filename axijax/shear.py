@@ -153,7 +153,7 @@ def shear_until_worn(
         place = jnp.where(done == 0, number, protocol.blocks)  # beyond the end: not written
         records = jax.tree.map(lambda values, value: values.at[place].set(value, mode="drop"), records, seen)
         state, taken = until_balls_moved(
-            lambda s: step(params, network, load, dt, s), network, protocol.block_steps - done, state
+            lambda s: step(params, network, load, dt, s), network, dt, protocol.block_steps - done, state
         )
         number, done = number + (done == 0), (done + taken) % protocol.block_steps
         return state, current_load(membrane, network, state, fixed), records, bits | status, number, done
