@@ -76,22 +76,26 @@ def confine(
     fixed: Load | None,
     params: Params,
     start: tuple[State, Confinement],
+    inertia: jax.Array | None = None,
 ) -> tuple[State, Confinement]:
     """Membrane and platens at the confining stress until balance and stress are within tolerance, or most_steps.
 
     scene: of `confining_scene`.
     until_worn: stop as well where a list is worn, so that it can be made anew.
     dt: time step [T]. fixed: a lateral load in place of the membrane's.
+    inertia: (N,) by which the balls' true masses are multiplied, as balance knows no masses; None for true ones [-].
     """
     network, membrane = lists
     platens = start[0].platens
     # In a lattice the slowest mode, half a wave along the specimen, is damped critically; the others settle within it.
     share = RANDOM_DAMPING if membrane.zone_rule == "exposure" else 1.0
     rate = share * 2 * jnp.pi * wave_speed(scene, params, network) / (platens[1] - platens[0]).astype(network.dtype)
-    params = replace(params, background_damping=rate)
+    true = params = replace(params, background_damping=rate)
+    if inertia is not None:
+        params = replace(params, density=params.density * inertia)
     if scene.friction:
         params = replace(params, friction=limits.friction)
-    step = make_step(scene, _servo(network))
+    step = make_step(scene, _servo(network, true))
 
     def unsettled(carry):
         state, balance, load = carry
@@ -128,6 +132,7 @@ def settle(
     dt: float | None,
     limits: Limits,
     fixed: Load | None = None,
+    inertia: jax.Array | None = None,
 ) -> tuple[Network, Membrane, State, Confinement]:
     """Confinement, from rest, with contact list and membrane made anew where they are worn (host loop).
 
@@ -138,7 +143,7 @@ def settle(
     balance = unconfined(network.dtype)
     while True:
         lists = network, membrane
-        state, balance = confine(scene, True, limits, lists, dt, fixed, params, (state, balance))
+        state, balance = confine(scene, True, limits, lists, dt, fixed, params, (state, balance), inertia)
         if float(closing(network, state.displacement)) > float(network.skin):
             raise RuntimeError(
                 "confinement: two balls together moved by more than the skin of the contact list within a few steps, "
@@ -157,15 +162,18 @@ def wave_speed(scene: Scene, params: Params, network: Network):
     return 2 * radius * ((normal + shear) / mass) ** 0.5
 
 
-def _servo(network: Network):
-    """Platens carried by s3: each has the mass of one layer of balls and is damped like them."""
+def _servo(network: Network, true: Params):
+    """Platens carried by s3: each has the mass of one layer of balls and is damped like them.
+
+    true: parameters with the balls' true density.
+    """
 
     layers = (network.positions.z.max() - network.positions.z.min()) / (2 * network.radius.mean()) + 1
     cubes = (network.weight * network.radius**3).sum() / layers
 
     def drive(params, state, dt, push, section):
         load = params.confining_stress * section
-        mass = mass_per_cube(params) * cubes
+        mass = mass_per_cube(true) * cubes
         half = 0.5 * dt * params.background_damping
         inward = jnp.array([1.0, -1.0], push.dtype) * (load - push) / mass
         return ((1 - half) * state.platen_speeds + dt * inward) / (1 + half)

@@ -25,6 +25,7 @@ from axijax.vector import from_rows
 from axijax.zone import outer_balls
 
 BEYOND = 1.5  # mean radii by which the balls reach beyond Rm, once compacted
+LIGHTEST = 0.75  # mean radii of the ball whose mass is the least that a ball has in compaction
 DENSEST, LOOSEST = 0.02, 0.5  # compaction frictions between which a void ratio is sought
 
 
@@ -246,11 +247,12 @@ def _grown(radius: np.ndarray, sector: Sector, aspect_ratio: float, solid_fracti
 def _compacted(loose: Specimen, sector: Sector, params: Params, limits: Limits):
     """A sector's balls in balance at the confining stress, and the report of it but for grading and seed."""
     network, membrane = roomy_lists(loose, sector)
-    mass = float(params.density) * (4 / 3) * np.pi * loose.radius.min() ** 3
+    inertia, least = _inertia(loose.radius)
+    mass = float(params.density) * (4 / 3) * np.pi * least**3
     # The limit of twelve contacts a ball, which no ball of the smallest size exceeds (PHYSICS 3.5).
     dt = float(DEFAULT_STEP * np.sqrt(mass / (10 * max(float(params.normal_stiffness), float(params.shear_stiffness)))))
     scene = confining_scene(Scene(), limits)
-    network, membrane, state, balance = settle(scene, loose, network, membrane, params, dt, limits)
+    network, membrane, state, balance = settle(scene, loose, network, membrane, params, dt, limits, inertia=inertia)
     if not float(balance.worst) <= limits.tolerance:
         raise RuntimeError(
             f"compaction of the random specimen stopped after {int(balance.steps)} steps at an unbalanced force of "
@@ -287,6 +289,20 @@ def _compacted(loose: Specimen, sector: Sector, params: Params, limits: Limits):
         seed=0,
     )
     return cut, report
+
+
+def _inertia(radius: np.ndarray) -> tuple[np.ndarray | None, float]:
+    """By what the balls' masses are multiplied, (N,) or None where none is, and the radius of a ball whose mass the
+    smallest then have [L].
+
+    What compaction ends in knows no masses; but the lightest set the time step, fly fastest where the membrane drives
+    them into a pore, and rattle longest. So no ball is lighter than one of LIGHTEST mean radii; and of a larger ball
+    the mass grows with its surface, that is with the number of smallest balls that it may touch.
+    """
+    least = max(LIGHTEST * (radius**3).mean() ** (1 / 3), radius.min())
+    wanted = least**3 * ((1 + radius / radius.min()) / 2) ** 2
+    inertia = np.maximum(wanted / radius**3, 1.0)
+    return (inertia if inertia.max() > 1 else None), least
 
 
 def _void_ratio(cut: Specimen, sector: Sector, radius: float, bottom: float, top: float) -> float:
