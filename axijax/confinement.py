@@ -145,9 +145,12 @@ def settle(
         lists = network, membrane
         state, balance = confine(scene, True, limits, lists, dt, fixed, params, (state, balance), inertia)
         if float(closing(network, state.displacement)) > float(network.skin):
+            softness = float(params.confining_stress * network.radius.mean() / confined_stiffness(scene, params, network)[0])
+            stiffness = "shear_modulus" if scene.contact_law == "hertz" else "normal_stiffness"
             raise RuntimeError(
-                "confinement: two balls together moved by more than the skin of the contact list within a few steps, "
-                "so a contact may be missing: take a denser start, another seed or a smaller confining_stress."
+                "confinement: two balls together moved by more than the skin of the contact list within a step or two, "
+                f"so a contact may be missing (softness s3 r/kn = {softness:.2g}): lower confining_stress or raise "
+                f"{stiffness}."
             )
         if float(balance.worst) <= limits.tolerance or int(balance.steps) >= limits.most_steps:
             return network, membrane, state, balance
@@ -256,7 +259,9 @@ def specimen_now(cut: Specimen, network: Network, membrane: Membrane, state: Sta
     return replace(cut, positions=place, bottom=bottom, top=top, membrane_zone=zone)
 
 
-def roomy_lists(specimen: Specimen, sector: Sector, dtype=np.float64) -> tuple[Network, Membrane]:
+def roomy_lists(
+    specimen: Specimen, sector: Sector, dtype=np.float64, largest_overlap: float = 0.05
+) -> tuple[Network, Membrane]:
     """Contact list and membrane with room for what a random packing will become (host).
 
     Rooms are those of a usual dense packing where these are enough, so that specimens of a kind, loose and dense, share
@@ -265,7 +270,7 @@ def roomy_lists(specimen: Specimen, sector: Sector, dtype=np.float64) -> tuple[N
     count = len(specimen)
     outer = int(5 * (count * sector.order) ** (2 / 3) / sector.order) + 8
     return (
-        _list_in(18, 64 * -(-count // 10), specimen, sector, None, 0.05, dtype),
+        _list_in(18, 64 * -(-count // 10), specimen, sector, None, largest_overlap, dtype),
         _membrane_in(3 * outer + 80, outer, specimen, sector, dtype),
     )
 
