@@ -145,7 +145,8 @@ def settle(
         lists = network, membrane
         state, balance = confine(scene, True, limits, lists, dt, fixed, params, (state, balance), inertia)
         if float(closing(network, state.displacement)) > float(network.skin):
-            softness = float(params.confining_stress * network.radius.mean() / confined_stiffness(scene, params, network)[0])
+            stiff = confined_stiffness(scene, params, network)[0]
+            softness = float(params.confining_stress * network.radius.mean() / stiff)
             stiffness = "shear_modulus" if scene.contact_law == "hertz" else "normal_stiffness"
             raise RuntimeError(
                 "confinement: two balls together moved by more than the skin of the contact list within a step or two, "
@@ -226,7 +227,7 @@ def until_balls_moved(step, network: Network, dt, most: int, state: State) -> tu
             state, steps = carry
             return (steps < end) & ((steps == taken) | outlasts(state))
 
-        state, taken = carry
+        taken = carry[1]
         end = jnp.minimum(taken + STRIDE, most)
         return jax.lax.while_loop(going, lambda c: (step(c[0]), c[1] + 1), carry)
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from axijax.packing import check_positive
 
-
 WELL_MET = 0.05  # share of the whole mass by which a fraction may miss what was asked for without a warning
 MOST_BALLS = 1_000_000  # in a sector, beyond which it is not looked for how many balls would do
 MANY = 2000  # balls of a fraction whose mean volume is that of the distribution

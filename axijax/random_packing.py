@@ -8,16 +8,18 @@
 Everything is made on the host but the compaction, which is the triaxial test's own confinement.
 """
 
-import warnings
 from dataclasses import dataclass, replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from axijax import theory
 from axijax.confinement import Limits, confining_scene, roomy_lists, settle
 from axijax.dynamics import Params, Scene, check_params, positions
 from axijax.fabric import contact_statistics, inside_balls, measured, pairs_within, sample_points
-from axijax.grading import WELL_MET, Fraction, Grading, linear
+from axijax.feasible import check_feasible
+from axijax.grading import Fraction, Grading, linear
 from axijax.membrane import build_membrane, membrane_radius
 from axijax.packing import Specimen, check_positive
 from axijax.sector import Sector, plane_normals
@@ -26,9 +28,7 @@ from axijax.vector import from_rows
 from axijax.zone import outer_balls
 
 BEYOND = 1.5  # mean radii by which the balls reach beyond Rm, once compacted
-WIDEST = 6.0  # largest over smallest radius, up to which every trial settled
-SOFTEST = 0.04  # s3 R^2/(r kn), R the largest and r the smallest radius, likewise: overlap of r under the load on R
-LIGHTEST = 0.75  # mean radii of the ball whose mass is the least that a ball has in compaction
+LIGHTEST = 0.75  # radius of the ball that is as heavy as the lightest in compaction, over that of the mean volume
 DENSEST, LOOSEST = 0.02, 0.5  # compaction frictions between which a void ratio is sought
 
 
@@ -127,9 +127,9 @@ def random_cylinder(
     tolerance: unbalanced force and stress error at which compaction ends [-]. most_steps: allowed for it.
 
     Raises ValueError for arguments that make no sense or are not supported (a fraction of the grading that gets no
-    ball, a size ratio above WIDEST, contacts softer than SOFTEST), and for a void ratio that cannot be reached, with
-    the range that can; RuntimeError where compaction did not reach its tolerance. Warns where the balls miss the mass
-    of a fraction by more than WELL_MET of the whole.
+    ball, sizes too wide apart, contacts too soft: see `axijax.feasible`), and for a void ratio that cannot be reached,
+    with the range that can; RuntimeError where compaction did not reach its tolerance. Warns where the balls miss the
+    mass of a fraction by more than `grading.WELL_MET` of the whole.
     """
     grading = linear(16.0, 24.0) if grading is None else grading
     params = Params() if params is None else params
@@ -149,7 +149,7 @@ def random_cylinder(
         check_positive("void_ratio", void_ratio)
     check_params(params, balls // sector.order)
     radii = grading.sample(balls // sector.order)
-    told = _check_feasible(grading, radii, params, balls)
+    told = check_feasible(grading, radii, params, balls)
 
     def compacted(friction: float) -> tuple[Specimen, PackingReport]:
         rng = np.random.default_rng(seed)
@@ -173,54 +173,6 @@ def platen_speed(inertial_number: float, specimen: Specimen, params: Params) -> 
     check_positive("inertial_number", inertial_number)
     of_unit_rate = theory.inertial_number(1.0, specimen.radius.mean(), params.density, params.confining_stress)
     return float(inertial_number / of_unit_rate * specimen.height / 2)
-
-
-def _check_feasible(grading: Grading, radii: np.ndarray, params: Params, balls: int) -> list[str]:
-    """Refuse what is known to fail before anything long runs; and what is to be warned of.
-
-    radii: of the balls of one sector [L]. balls: in the full cylinder.
-    """
-    order, nominal = balls // radii.size, grading.radii[-1] / grading.radii[0]
-    warned: list[str] = []
-    fractions = grading.fractions(radii)
-    worst = max(fractions, key=lambda each: abs(each.got - each.wanted), default=None)
-    empty = [each for each in fractions if each.wanted > 0 and each.balls == 0]
-    if empty or (worst and abs(worst.got - worst.wanted) > WELL_MET):
-        enough = grading.enough(radii.size)
-        more = "more than a million balls in a sector would be needed" if enough is None else f"balls = {order * enough}"
-        if empty:
-            shown = " and ".join(f"{2 * each.smallest:.4g} to {2 * each.largest:.4g}" for each in empty)
-            raise ValueError(
-                f"grading '{grading.name}': of {radii.size} balls in a sector none has a diameter of {shown}, though "
-                f"{100 * sum(each.wanted for each in empty):.3g} % of the mass is asked for there: "
-                + (more if enough is None else f"take {more}")
-                + (f"; its size ratio of {nominal:.3g} is above {WIDEST:g} as well, the most that is supported." if
-                   nominal > WIDEST else ", or leave out that fraction.")
-            )
-        warned.append(
-            f"grading '{grading.name}' is not met: of {radii.size} balls in a sector those of diameter "
-            f"{2 * worst.smallest:.4g} to {2 * worst.largest:.4g} have {100 * worst.got:.3g} % of the mass, where "
-            f"{100 * worst.wanted:.3g} % is asked for; "
-            + (more if enough is None else f"{more} would be within {100 * WELL_MET:g} %")
-        )
-    ratio = radii.max() / radii.min()
-    if ratio > WIDEST * (1 + 1e-9):
-        raise ValueError(
-            f"grading '{grading.name}': its size ratio is {ratio:.3g} (radii {radii.min():.4g} to {radii.max():.4g}): "
-            f"supported are random specimens up to a size ratio of {WIDEST:g}; leave out the finest or the coarsest "
-            "balls." + "".join(f" Besides, {text}." for text in warned)
-        )
-    softness = float(params.confining_stress) * radii.mean() / float(params.normal_stiffness)
-    softest = SOFTEST * radii.min() * radii.mean() / radii.max() ** 2
-    if softness > softest * (1 + 1e-9):
-        raise ValueError(
-            f"softness s3 r/kn = {softness:.3g}: supported are random specimens up to {softest:.2g} at their size ratio "
-            f"of {ratio:.3g}, as softer balls are pressed into one another by more than their radius; raise "
-            "normal_stiffness or lower confining_stress."
-        )
-    for text in warned:
-        warnings.warn(text + ".", stacklevel=3)
-    return warned
 
 
 def _sought(compacted, void_ratio: float, tolerance: float):
@@ -359,18 +311,18 @@ def _compacted(loose: Specimen, sector: Sector, params: Params, limits: Limits):
     return cut, report
 
 
-def _inertia(radius: np.ndarray) -> tuple[np.ndarray | None, float]:
+def _inertia(radius: np.ndarray) -> tuple[jax.Array | None, float]:
     """By what the balls' masses are multiplied, (N,) or None where none is, and the radius of a ball whose mass the
     smallest then have [L].
 
     What compaction ends in knows no masses; but the lightest set the time step, fly fastest where the membrane drives
-    them into a pore, and rattle longest. So no ball is lighter than one of LIGHTEST mean radii; and of a larger ball
+    them into a pore, and rattle longest. So no ball is lighter than LIGHTEST says; and of a larger ball
     the mass grows with its surface, that is with the number of smallest balls that it may touch.
     """
     least = max(LIGHTEST * (radius**3).mean() ** (1 / 3), radius.min())
     wanted = least**3 * ((1 + radius / radius.min()) / 2) ** 2
     inertia = np.maximum(wanted / radius**3, 1.0)
-    return (inertia if inertia.max() > 1 else None), least
+    return (jnp.asarray(inertia) if inertia.max() > 1 else None), least
 
 
 def _void_ratio(cut: Specimen, sector: Sector, radius: float, bottom: float, top: float) -> float:

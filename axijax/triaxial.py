@@ -31,6 +31,7 @@ from axijax.confinement import (
 )
 from axijax.curve import Curve, SimulationError, make_curve, no_records, raise_for_status, warn_of_chatter
 from axijax.dynamics import Params, Scene, State, check_params, positions
+from axijax.feasible import pressed_in
 from axijax.membrane import Load, Membrane, build_membrane, membrane_radius
 from axijax.neighbors import Network, build_network
 from axijax.observe import Observation
@@ -113,7 +114,10 @@ class TriaxialTest:
             raise ValueError(f"confining_friction = {self.confining_friction!r}: must be zero or positive [-].")
         _warn_of_slipping(self.scene, self.params, self.confining_friction)
         if cut.zone_rule == "exposure" or self.rebuild_every:
-            network, membrane = roomy_lists(cut, self.sector, self.dtype, _deepest(self.params, cut))
+            # A random specimen was made under stress, which presses soft balls into one another.
+            soft = cut.zone_rule == "exposure"
+            overlap = max(0.05, 6 * pressed_in(cut.radius, self.params)) if soft else 0.05
+            network, membrane = roomy_lists(cut, self.sector, self.dtype, overlap)
         else:
             network = build_network(cut, self.sector, dtype=self.dtype)
             membrane = build_membrane(cut, self.sector, dtype=self.dtype)
@@ -323,14 +327,6 @@ class Run(NamedTuple):
         return np.asarray(positions(self.network, self.state))
 
 
-def _deepest(params: Params, cut: Specimen) -> float:
-    """Overlap that a specimen may have, in radii of the smaller ball: random ones are made under stress, where soft
-    balls are pressed together, by up to 8 s3 r/kn in the mean and twice that where sizes differ."""
-    if cut.zone_rule != "exposure":
-        return 0.05
-    return max(0.05, 10 * float(params.confining_stress * cut.radius.max() ** 2 / cut.radius.min() / params.normal_stiffness))
-
-
 def _warn_of_slipping(scene: Scene, params: Params, confining_friction: float) -> None:
     """Warn of a shear that begins with less friction than the specimen was confined with."""
     friction = float(np.min(np.asarray(params.friction))) if scene.friction else 0.0
@@ -338,7 +334,7 @@ def _warn_of_slipping(scene: Scene, params: Params, confining_friction: float) -
         warnings.warn(
             f"friction {friction:g} is below the confining_friction {confining_friction:g}: the contacts that hold the "
             "confined specimen slip as soon as the shear begins, and the stress ratio may fall below 1; lower "
-            "confining_friction, and for a random specimen compaction_friction, to at most the friction",
+            "confining_friction, and for a random specimen compaction_friction, to at most the friction.",
             stacklevel=4,
         )
 
