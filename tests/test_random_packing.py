@@ -175,8 +175,8 @@ def test_wide_gradings_and_soft_balls_settle(ratio, stiffness):
     tangential forces that it leaves out are within the compaction friction of 0.05."""
     params = Params(normal_stiffness=stiffness, shear_stiffness=stiffness)
     grading = linear(24 / ratio, 24.0)
-    cylinder, report = random_cylinder(100, Sector(2), grading, params=params, seed=1, tolerance=0.03)
-    assert report.radii.max() / report.radii.min() == pytest.approx(ratio, rel=0.05)
+    cylinder, report = random_cylinder(60, Sector(2), grading, params=params, seed=1, tolerance=0.02)
+    assert report.radii.max() / report.radii.min() == pytest.approx(ratio, rel=0.1)
     i, j = np.triu_indices(len(cylinder), 1)
     apart = cylinder.positions[:, i] - cylinder.positions[:, j]
     distance = np.linalg.norm(apart, axis=0)
@@ -192,9 +192,9 @@ def test_wide_gradings_and_soft_balls_settle(ratio, stiffness):
     assert np.mean(forces) == pytest.approx(params.confining_stress * np.pi * report.membrane_radius**2, rel=0.1)
     # What came out bears its load with true masses too: a test finds it balanced, and takes soft balls' overlaps.
     test = TriaxialTest(cylinder, Sector(2), params=replace(params, friction=0.3), confining_friction=0.05,
-                        tolerance=0.03, confine_steps=2000)  # fmt: skip
+                        tolerance=0.02, confine_steps=2000)  # fmt: skip
     state, balance = test.confine()
-    assert float(balance.worst) <= 0.03
+    assert float(balance.worst) <= 0.02
     assert float(state.platens[1] - state.platens[0]) == pytest.approx(report.height, rel=0.02)
 
 
@@ -307,7 +307,7 @@ def test_so_many_balls_of_each_fraction_that_no_other_choice_is_nearer(tmp_path)
 
 
 def test_a_grading_that_is_not_met_is_told_with_the_balls_that_would_do(tmp_path, monkeypatch):
-    """30 % of fines in a gap-graded sand; one coarse ball of 30 is as heavy as ..., by number in closed form."""
+    """30 % of fines asked for beside one coarse ball among 15: the number that is told does, and no smaller one."""
     grading = sieved(tmp_path)
     radii = grading.sample(15)
     fines = passing_by_mass(radii, 1.0)
