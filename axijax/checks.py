@@ -9,6 +9,7 @@ import numpy as np
 
 from axijax.curve import CHATTER, Peak, find_peak
 from axijax.engine import STALE
+from axijax.grading import WELL_MET
 from axijax.observe import in_core
 from axijax.results import Result
 from axijax.snapshot import Snapshot, snapshot
@@ -52,6 +53,7 @@ def result_checks(result: Result, energy: bool = False) -> list[Check]:
             "the run has reached its axial strain without a fault",
         ),
         *_curve_checks(result),
+        *_packing_checks(result),
     ]  # fmt: skip
     if result.has_state:
         checks += _state_checks(result.test, snapshot(result.test, result.progress))
@@ -122,6 +124,21 @@ def _peak_check(peak: Peak) -> Check:
         return Check("peak stress ratio", peak.stress_ratio, "reached within the test", True, meaning)
     meaning = f"{peak}; go on to a larger axial strain before the value is read as a strength"
     return Check("peak stress ratio", "none within the test", "no fault of a short test", None, meaning)
+
+
+def _packing_checks(result: Result) -> list[Check]:
+    """Whether a random specimen's balls have the masses that the sieves of its grading ask for."""
+    packing = result.info.get("packing")
+    deviation = packing.get("deviation") if isinstance(packing, dict) else None
+    if deviation is None:
+        return []
+    return [
+        _at_most(
+            "grading met", deviation, WELL_MET,
+            "by how much of the whole mass the worst fraction between two sieves misses what was asked for: more balls "
+            "meet it better",
+        )
+    ]  # fmt: skip
 
 
 def _radius_limit(test: TriaxialTest | None, radius: float) -> float:

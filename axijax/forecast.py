@@ -1,7 +1,8 @@
 """What a case will take, and what to beware of, before anything long runs."""
 
 import time
-from typing import NamedTuple
+import warnings
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +17,9 @@ from axijax.theory import inertial_number
 from axijax.time_step import SAFE_STEP, critical_time_step
 from axijax.triaxial import TriaxialTest
 from axijax.vector import from_rows
+
+if TYPE_CHECKING:
+    from axijax.random_packing import PackingReport
 
 # Steps that lattices need to be confined (1450 to 3200 of them, whatever their stiffness and stress).
 CONFINEMENT_STEPS = 3000
@@ -59,11 +63,15 @@ def forecast(case: Case, measure: bool = True) -> Forecast:
 
     measure: compile and run some 1000 steps, to know how long the whole will take.
     """
-    test = case.build()
+    with warnings.catch_warnings(record=True) as noted:  # they go into the list instead
+        warnings.simplefilter("always")
+        case, specimen, packing = case.made()
+        test = case.build(specimen)
+        prepared = test.prepared
     params, radius = test.params, float(test.cut.radius.mean())
     stiffness = float(params.material.confined_stiffness(test.network, params.confining_stress)[0])
     rate = 2 * float(params.platen_speed) / test.cut.height
-    steps = test.prepared.numerics.records * test.record_every
+    steps = prepared.numerics.records * test.record_every
     compiling, per_step = _timed(test) if measure else (None, None)
     found = Forecast(
         balls=len(test.cut),
@@ -71,12 +79,12 @@ def forecast(case: Case, measure: bool = True) -> Forecast:
         height=test.cut.height,
         membrane_radius=float(membrane_radius(test.membrane, from_rows(test.cut.positions))),
         critical_time_step=critical_time_step(test.scene, params, test.network),
-        time_step=float(test.prepared.time_step),
+        time_step=float(prepared.time_step),
         inertial_number=float(inertial_number(rate, radius, params.density, params.confining_stress)),
         softness=float(params.confining_stress * radius / stiffness),
-        ramp_strain=rate * float(test.prepared.shear.ramp_time) / 2,
+        ramp_strain=rate * float(prepared.shear.ramp_time) / 2,
         shear_steps=steps,
-        records=test.prepared.numerics.records,
+        records=prepared.numerics.records,
         confinement_steps=CONFINEMENT_STEPS,
         ball_steps_per_second=len(test.cut) / per_step if per_step else None,
         seconds=2 * compiling + (steps + CONFINEMENT_STEPS) * per_step if compiling is not None and per_step else None,
@@ -84,7 +92,9 @@ def forecast(case: Case, measure: bool = True) -> Forecast:
         warnings=[],
     )
     released = measure and per_step is None
-    return found._replace(warnings=_warnings(case, test, found, released))
+    told = packing.warnings if packing else []
+    told = told + [str(each.message).rstrip(".") for each in noted] + _warnings(case, test, found, released, packing)
+    return found._replace(warnings=list(dict.fromkeys(told)))
 
 
 def _timed(test: TriaxialTest) -> tuple[float | None, float | None]:
@@ -117,7 +127,9 @@ def _memory() -> int | None:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
-def _warnings(case: Case, test: TriaxialTest, found: Forecast, collapsed: bool) -> list[str]:
+def _warnings(
+    case: Case, test: TriaxialTest, found: Forecast, collapsed: bool, packing: "PackingReport | None"
+) -> list[str]:
     """What the README's sharp bits say of this case."""
     params, sector, strain = test.params, test.sector, test.axial_strain
     friction = float(np.max(np.asarray(params.friction))) if params.material.frictional else 0.0
@@ -126,6 +138,7 @@ def _warnings(case: Case, test: TriaxialTest, found: Forecast, collapsed: bool) 
     local = isinstance(damping, LocalDamping)
     local_limit = 1 / (1 + float(damping.local_damping)) ** 0.5 if isinstance(damping, LocalDamping) else 1.0
     lattice_sector = sector.order > 1 and sector.boundary == "periodic" and case.specimen.kind in ("octagon", "fcc")
+    compaction = packing.compaction_friction if packing else 0.0
     slenderness = found.height / (2 * found.membrane_radius)
     told = [
         (
@@ -155,6 +168,11 @@ def _warnings(case: Case, test: TriaxialTest, found: Forecast, collapsed: bool) 
         (
             friction == 0 and strain > 0.04,
             "without friction the specimen collapses past 4 % strain",
+        ),
+        (
+            test.confining_friction <= friction < compaction,
+            f"friction {friction:g} is below the friction {compaction:.4g} of the compaction: the specimen gives way "
+            "when it is confined, and does not keep its void ratio; lower specimen.compaction_friction",
         ),
         (
             friction > 0.5,

@@ -71,11 +71,13 @@ class Isotropic(Path):
     friction: in confinement; None, the paper's, lets a packing become as dense as it can [-].
     tolerance: unbalanced force and stress error that end it [-].
     most_steps: after which it ends in any case.
+    inertia: (N,) by which the balls' true masses are multiplied, since balance knows no masses; None for true ones [-].
     """
 
     friction: jax.Array | float | None = None
     tolerance: jax.Array | float = 1e-7
     most_steps: jax.Array | int = 20_000
+    inertia: jax.Array | None = None
 
     def scene(self, scene):
         """Spins only where there is friction."""
@@ -87,14 +89,18 @@ class Isotropic(Path):
         share = RANDOM_DAMPING if membrane.zone_rule == "exposure" else 1.0
         height = (platens[1] - platens[0]).astype(network.dtype)
         rate = share * 2 * jnp.pi * wave_speed(params, network) / height
-        return replace(params, damping=BackgroundDamping(rate), friction=self.friction)
+        heavier = {} if self.inertia is None else {"density": params.density * self.inertia}
+        return replace(params, damping=BackgroundDamping(rate), friction=self.friction, **heavier)
 
     def platen_speeds(self, params, network, dt, state, push, section):
         """Platens carried by s3: each has the mass of one layer of balls and is damped like them."""
         layers = (network.positions.z.max() - network.positions.z.min()) / (2 * network.radius.mean()) + 1
-        cubes = (network.weight * network.radius**3).sum() / layers
+        cubes = network.weight * network.radius**3
+        if self.inertia is None:
+            mass = params.material.mass_per_cube * (cubes.sum() / layers)
+        else:
+            mass = (params.material.mass_per_cube * cubes / self.inertia).sum() / layers
         load = params.confining_stress * section
-        mass = params.material.mass_per_cube * cubes
         half = 0.5 * dt * params.background_damping
         inward = jnp.array([1.0, -1.0], push.dtype) * (load - push) / mass
         return ((1 - half) * state.platen_speeds + dt * inward) / (1 + half)

@@ -1,5 +1,6 @@
 """What a test needs before it can run: contact list, membrane, time step and numbers of steps. As pytrees of arrays."""
 
+import warnings
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -8,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax.dynamics import Scene
+from axijax.feasible import pressed_in
 from axijax.membrane import Load, Membrane, build_membrane, check_load
 from axijax.neighbors import Network, build_network
-from axijax.params import check_params
+from axijax.params import Params, check_params
 from axijax.paths import Compression, Isotropic, wave_speed
 from axijax.rebuild import roomy_lists
 from axijax.time_step import DEFAULT_STEP, check_step, critical_time_step
@@ -63,6 +65,19 @@ class Prepared:
         return self.network, self.membrane
 
 
+def warn_of_slipping(params: Params, confining_friction: float) -> None:
+    """Warn of a shear that begins with less friction than the specimen was confined with."""
+    friction = params.material.friction
+    least = 0.0 if friction is None else float(np.min(np.asarray(friction)))
+    if least < confining_friction:
+        warnings.warn(
+            f"friction {least:g} is below the confining_friction {confining_friction:g}: the contacts that hold the "
+            "confined specimen slip as soon as the shear begins, and the stress ratio may fall below 1; lower "
+            "confining_friction, and for a random specimen compaction_friction, to at most the friction.",
+            stacklevel=4,
+        )
+
+
 def prepare(test: "TriaxialTest") -> Prepared:
     """Contact list, membrane, time step and paths of a test (host).
 
@@ -70,10 +85,14 @@ def prepare(test: "TriaxialTest") -> Prepared:
     """
     cut, sector, params = test.cut, test.sector, test.params
     check_params(params, len(cut))
+    warn_of_slipping(params, test.confining_friction)
     for term in params.terms:
         term.check(sector)
     if cut.zone_rule == "exposure" or test.rebuild_every:
-        network, membrane = roomy_lists(cut, sector, test.dtype)
+        # A random specimen was made under stress, which presses soft balls into one another.
+        soft = cut.zone_rule == "exposure"
+        overlap = max(0.05, 6 * pressed_in(cut.radius, params)) if soft else 0.05
+        network, membrane = roomy_lists(cut, sector, test.dtype, overlap)
         if test.rebuild_every:
             network = replace(network, grid=grid_for(network))
     else:

@@ -12,6 +12,7 @@ from axijax.membrane import Load, Membrane
 from axijax.neighbors import Network
 from axijax.observe import Observation
 from axijax.params import Params, check_params
+from axijax.prepare import warn_of_slipping
 from axijax.rebuild import rebuilt
 from axijax.stages import settle, start_shear
 from axijax.state import State
@@ -71,6 +72,8 @@ def begin(test: "TriaxialTest", params: Params) -> Progress:
     equilibrium."""
     prepared = test.prepared
     check_params(params, len(test.cut))
+    if params is not test.params:
+        warn_of_slipping(params, test.confining_friction)
     if params is not test.params and not test.allow_unsafe_step:
         check_step(prepared.time_step, critical_time_step(test.scene, params, prepared.network))
     lists, confined, balance = settle(
@@ -90,8 +93,9 @@ def go_on(test: "TriaxialTest", now: Progress) -> Progress:
     lists, state = now.lists, now.state
     if now.worn:
         lists, state = rebuilt(test.cut, lists, state)
+    widely_graded = bool(test.cut.radius.max() > 2 * test.cut.radius.min())
     reached = march_until(
-        test.scene, -(-SEGMENT // test.record_every), test.record_every, True, prepared.shear, lists,
+        test.scene, -(-SEGMENT // test.record_every), test.record_every, True, widely_graded, prepared.shear, lists,
         prepared.time_step, now.params, state, now.fixed, now.due, now.taken, now.worn,
     )  # fmt: skip
     seen = jax.tree.map(lambda values: np.asarray(values)[: int(reached.records)], reached.seen)

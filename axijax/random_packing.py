@@ -10,12 +10,15 @@ Everything is made on the host but the compaction, which is the triaxial test's 
 
 from dataclasses import dataclass, replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from axijax import theory
 from axijax.dynamics import Scene, positions
 from axijax.fabric import contact_statistics, inside_balls, measured, pairs_within, sample_points
-from axijax.grading import Grading, linear
+from axijax.feasible import check_feasible
+from axijax.grading import Fraction, Grading, linear
 from axijax.membrane import build_membrane, membrane_radius
 from axijax.packing import Specimen, check_positive
 from axijax.params import Params, check_params
@@ -29,6 +32,7 @@ from axijax.vector import from_rows
 from axijax.zone import outer_balls
 
 BEYOND = 1.5  # mean radii by which the balls reach beyond Rm, once compacted
+LIGHTEST = 0.75  # radius of the ball that is as heavy as the lightest in compaction, over that of the mean volume
 DENSEST, LOOSEST = 0.02, 0.5  # compaction frictions between which a void ratio is sought
 
 
@@ -38,6 +42,8 @@ class PackingReport:
 
     balls: in the full cylinder. grading: what was asked for. radii: (N,) of the sector's balls, rising [L].
     sieves: (S, 3) radius [L], per cent passing by mass wanted and reached.
+    fractions: what each fraction of the grading was to have, and got; empty where it has none.
+    warnings: sentences.
     membrane_radius: Rm, through the middle of the membrane zone; height: between the platens [L].
     void_ratio: volume not in balls over volume in balls, in the cylinder of radius Rm between the platens (volume
         pi Rm^2 H; of a ball that it cuts, the part inside) [-].
@@ -53,6 +59,8 @@ class PackingReport:
     grading: str
     radii: np.ndarray
     sieves: np.ndarray
+    fractions: list[Fraction]
+    warnings: list[str]
     membrane_radius: float
     height: float
     void_ratio: float
@@ -66,6 +74,11 @@ class PackingReport:
     stress_error: float
     steps: int
     seed: int
+
+    @property
+    def deviation(self) -> float | None:
+        """By how much of the whole mass the worst fraction misses what was asked for; None without fractions [-]."""
+        return max((abs(each.got - each.wanted) for each in self.fractions), default=None)
 
     def __str__(self) -> str:
         sieves = "  ".join(f"{radius:.4g}: {wanted:.0f}/{got:.1f}" for radius, wanted, got in self.sieves)
@@ -82,6 +95,7 @@ class PackingReport:
                 f"  fabric           vertical minus horizontal {self.anisotropy:+.4f}",
                 f"  compaction       friction {self.compaction_friction:.4g}, {self.steps} steps, unbalanced force "
                 f"{self.unbalanced_force:.1e}, stress error {self.stress_error:.1e}",
+                *(f"  warning          {text}" for text in self.warnings),
             ]
         )
 
@@ -116,8 +130,10 @@ def random_cylinder(
         would take twenty times as many steps.
     tolerance: unbalanced force and stress error at which compaction ends [-]. most_steps: allowed for it.
 
-    Raises ValueError for arguments that make no sense, or a void ratio that cannot be reached, with the range that can;
-    RuntimeError where compaction did not reach its tolerance.
+    Raises ValueError for arguments that make no sense or are not supported (a fraction of the grading that gets no
+    ball, sizes too wide apart, contacts too soft: see `axijax.feasible`), and for a void ratio that cannot be reached,
+    with the range that can; RuntimeError where compaction did not reach its tolerance. Warns where the balls miss the
+    mass of a fraction by more than `grading.WELL_MET` of the whole.
     """
     require_64_bits()
     grading = linear(16.0, 24.0) if grading is None else grading
@@ -137,15 +153,18 @@ def random_cylinder(
     if void_ratio is not None:
         check_positive("void_ratio", void_ratio)
     check_params(params, balls // sector.order)
+    radii = grading.sample(balls // sector.order)
+    told = check_feasible(grading, radii, params, balls)
 
     def compacted(friction: float) -> tuple[Specimen, PackingReport]:
         rng = np.random.default_rng(seed)
-        radius = rng.permutation(grading.sample(balls // sector.order))
+        radius = rng.permutation(radii)
         # Near to what compaction will reach, so that it hardly changes the shape.
         loose = _grown(radius, sector, aspect_ratio, 0.6 - 0.1 * friction / (friction + 0.15), rng)
         path = Isotropic(float(friction) or None, tolerance, most_steps)
         cut, report = _compacted(loose, sector, params, path)
-        return cut, replace(report, grading=grading.name, sieves=_sieves(grading, radius), seed=seed)
+        known = {"fractions": grading.fractions(radii), "warnings": told, "sieves": _sieves(grading, radius)}
+        return cut, replace(report, grading=grading.name, seed=seed, **known)
 
     if void_ratio is None:
         cut, report = compacted(compaction_friction)
@@ -251,7 +270,9 @@ def _grown(radius: np.ndarray, sector: Sector, aspect_ratio: float, solid_fracti
 def _compacted(loose: Specimen, sector: Sector, params: Params, path: Isotropic):
     """A sector's balls in balance at the confining stress, and the report of it but for grading and seed."""
     lists = roomy_lists(loose, sector)
-    mass = float(params.density) * (4 / 3) * np.pi * loose.radius.min() ** 3
+    inertia, least = _inertia(loose.radius)
+    path = replace(path, inertia=inertia)
+    mass = float(params.density) * (4 / 3) * np.pi * least**3
     # The limit of twelve contacts a ball, which no ball of the smallest size exceeds (PHYSICS 3.5).
     dt = float(DEFAULT_STEP * np.sqrt(mass / (10 * max(float(params.normal_stiffness), float(params.shear_stiffness)))))
     (network, _), state, balance = settle(Scene(), path, loose, lists, dt, params)
@@ -279,6 +300,8 @@ def _compacted(loose: Specimen, sector: Sector, params: Params, path: Isotropic)
         grading="",
         radii=np.sort(cut.radius),
         sieves=np.zeros((0, 3)),
+        fractions=[],
+        warnings=[],
         membrane_radius=rm,
         height=height,
         void_ratio=_void_ratio(cut, sector, rm, bottom, top),
@@ -291,6 +314,20 @@ def _compacted(loose: Specimen, sector: Sector, params: Params, path: Isotropic)
         seed=0,
     )
     return cut, report
+
+
+def _inertia(radius: np.ndarray) -> tuple[jax.Array | None, float]:
+    """By what the balls' masses are multiplied, (N,) or None where none is, and the radius of a ball whose mass the
+    smallest then have [L].
+
+    What compaction ends in knows no masses; but the lightest set the time step, fly fastest where the membrane drives
+    them into a pore, and rattle longest. So no ball is lighter than LIGHTEST says; and of a larger ball
+    the mass grows with its surface, that is with the number of smallest balls that it may touch.
+    """
+    least = max(LIGHTEST * (radius**3).mean() ** (1 / 3), radius.min())
+    wanted = least**3 * ((1 + radius / radius.min()) / 2) ** 2
+    inertia = np.maximum(wanted / radius**3, 1.0)
+    return (jnp.asarray(inertia) if inertia.max() > 1 else None), least
 
 
 def _void_ratio(cut: Specimen, sector: Sector, radius: float, bottom: float, top: float) -> float:

@@ -43,7 +43,9 @@ def specimen_now(cut: Specimen, network: Network, membrane: Membrane, state: Sta
     return replace(cut, positions=place, bottom=bottom, top=top, membrane_zone=zone)
 
 
-def roomy_lists(specimen: Specimen, sector: Sector, dtype=np.float64) -> tuple[Network, Membrane]:
+def roomy_lists(
+    specimen: Specimen, sector: Sector, dtype=np.float64, largest_overlap: float = 0.05
+) -> tuple[Network, Membrane]:
     """Contact list and membrane with room for what a random packing will become (host).
 
     Rooms are those of a usual dense packing where these are enough, so that specimens of a kind, loose and dense, share
@@ -52,7 +54,7 @@ def roomy_lists(specimen: Specimen, sector: Sector, dtype=np.float64) -> tuple[N
     count = len(specimen)
     outer = int(5 * (count * sector.order) ** (2 / 3) / sector.order) + 8
     return (
-        _list_in(18, 64 * -(-count // 10), specimen, sector, None, 0.05, dtype),
+        _list_in(18, 64 * -(-count // 10), specimen, sector, None, largest_overlap, dtype),
         _membrane_in(3 * outer + 80, outer, specimen, sector, dtype),
     )
 

@@ -242,10 +242,13 @@ def _run(
 
 def packing_values(report: "PackingReport") -> dict[str, Any]:
     """A packing's report as JSON holds it; the radii are in specimen.npz."""
-    told = {each.name: getattr(report, each.name) for each in fields(report) if each.name not in ("radii", "sieves")}
+    listed = ("radii", "sieves", "fractions")
+    told = {each.name: getattr(report, each.name) for each in fields(report) if each.name not in listed}
     columns = ("radius", "per cent passing wanted", "per cent passing reached")
     sieves = dict(zip(columns, np.round(report.sieves, 4).T.tolist(), strict=True))
-    return {name: None if value == np.inf else value for name, value in told.items()} | {"sieves": sieves}
+    fractions = [each._asdict() for each in report.fractions]
+    told = {name: None if value == np.inf else value for name, value in told.items()}
+    return told | {"sieves": sieves, "fractions": fractions, "deviation": report.deviation}
 
 
 def _snapshot_strains(number: int, axial_strain: float, start: float) -> list[float]:

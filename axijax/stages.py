@@ -31,7 +31,7 @@ def confine(prepared: Prepared, params: Params) -> tuple[State, Confinement]:
     start = _at_rest(prepared.scene, path, lists, params, prepared.platens)
     return _ended(
         march_until(
-            prepared.scene, None, CONFINE_EVERY, False, path, lists, prepared.time_step, params, start,
+            prepared.scene, None, CONFINE_EVERY, False, False, path, lists, prepared.time_step, params, start,
             prepared.lateral_load, CONFINE_EVERY, 0, True,
         )
     )  # fmt: skip
@@ -54,14 +54,17 @@ def settle(
     state, steps = _at_rest(scene, path, lists, params, jnp.asarray([cut.bottom, cut.top])), 0
     while True:
         reached = march_until(
-            scene, None, CONFINE_EVERY, True, path, lists, dt, params, state, fixed, CONFINE_EVERY, steps, True
+            scene, None, CONFINE_EVERY, True, True, path, lists, dt, params, state, fixed, CONFINE_EVERY, steps, True
         )
         state, balance = _ended(reached)
         network, _ = lists
         if float(closing(network, state.displacement)) > float(network.skin):
+            stiffness, _ = params.material.confined_stiffness(network, params.confining_stress)
+            softness = float(params.confining_stress * network.radius.mean() / stiffness)
             raise RuntimeError(
-                "confinement: two balls together moved by more than the skin of the contact list within a few steps, "
-                "so a contact may be missing: take a denser start, another seed or a smaller confining_stress."
+                "confinement: two balls together moved by more than the skin of the contact list within a step or two, "
+                f"so a contact may be missing (softness s3 r/kn = {softness:.2g}): lower confining_stress, or raise "
+                "the stiffness of the balls."
             )
         if not path.going(reached.watched, reached.steps):
             return lists, state, balance

@@ -2,13 +2,21 @@
 
 import json
 import tomllib
+import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cli_in_process import SMALL, axijax, write
 
-from axijax.case import Case
+from axijax import triaxial
+from axijax.case import Case, load_case
+from axijax.checks import _packing_checks
+from axijax.dynamics import Params, Scene
 from axijax.forecast import forecast
+from axijax.packing import fcc_octagon
+from axijax.runs import packing_values
+from axijax.triaxial import TriaxialTest
 
 
 def looked_at(**sections):
@@ -57,21 +65,87 @@ WARNED = {
     "rarely recorded": ({"test": {"record_every": 1000}}, "records"),
     "long step": ({"test": {"time_step": 0.75 * STEP}}, "0.75 of the critical one"),
     "loose": ({"test": {"tolerance": 0.01}}, "far from equilibrium"),
+    "slippery": (
+        {"parameters": {"friction": 0.1}, "test": {"confining_friction": 0.3}},
+        "friction 0.1 is below the confining_friction 0.3",
+    ),
 }
 
 
 @pytest.mark.parametrize("case", WARNED)
 def test_each_sharp_bit_has_its_warning(case):
     sections, words = WARNED[case]
-    warnings = looked_at(**sections).warnings
-    assert len(warnings) == 1 and words in warnings[0], warnings
+    told = looked_at(**sections).warnings
+    assert len(told) == 1 and words in told[0], told
 
 
 def test_local_damping_at_a_long_step_has_two():
     """1/sqrt(1 + 0.7) = 0.77 of the critical step, which differs with the damping."""
     limit = looked_at(scene={"damping": "local"}).critical_time_step
-    warnings = looked_at(scene={"damping": "local"}, test={"time_step": 0.79 * limit}).warnings
-    assert any("0.77 of the critical one, and it is 0.79" in text for text in warnings)
+    told = looked_at(scene={"damping": "local"}, test={"time_step": 0.79 * limit}).warnings
+    assert any("0.77 of the critical one, and it is 0.79" in text for text in told)
+
+
+GAP = """
+[specimen]
+kind = "random"
+balls = 40
+grading = "sand.csv"
+[sector]
+order = 2
+[parameters]
+friction = 0.04
+[test]
+tolerance = 0.01
+axial_strain = 0.02
+confining_friction = 0.0
+"""
+
+
+def test_a_grading_that_is_not_met_and_friction_below_that_of_the_compaction(tmp_path):
+    """As `axijax check` tells them, and as a result keeps them."""
+    (tmp_path / "sand.csv").write_text("opening,passing\n20,0\n25,30\n80,30\n100,100\n")
+    path = write(tmp_path / "gap.toml", GAP)
+    case = load_case(path)
+    told = forecast(case, measure=False).warnings
+    radii = case.build().cut.radius
+    got = 100 * (radii[radii < 20] ** 3).sum() / (radii**3).sum()
+    assert sum(f"have {got:.3g} % of the mass, where 30 % is asked for" in text for text in told) == 1, told
+    assert sum("friction 0.04 is below the friction 0.05 of the compaction" in text for text in told) == 1, told
+    kept = packing_values(case.made()[2])
+    assert kept["deviation"] == pytest.approx(abs(got - 30) / 100) and kept["warnings"][0] in told
+    [check] = _packing_checks(SimpleNamespace(info={"packing": kept}))
+    assert check.passed is False and check.value == pytest.approx(abs(got - 30) / 100)
+
+
+def test_a_gap_graded_sand_of_size_ratio_11_is_refused_at_once(tmp_path):
+    """30 % fines asked, 400 balls: what cannot be supported, what would be missed, and the balls that would do."""
+    (tmp_path / "sand.csv").write_text("opening,passing\n0.2,0\n0.25,30\n2.0,30\n2.5,100\n")
+    sections = GAP.replace("balls = 40", "balls = 400").replace("order = 2", "order = 4")
+    for command in ("check", "run"):
+        called = axijax(command, write(tmp_path / "gap.toml", sections))
+        assert called.code == 1 and "Traceback" not in called.err
+        for words in ("size ratio is 11", "up to 6", "where 30 % is asked for", "balls come within 5 %"):
+            assert words in called.err
+
+
+def test_every_shear_with_less_friction_than_the_confinement_is_warned_of(monkeypatch):
+    """Of the test's own parameters, of those that it is run with, and of a scene without friction."""
+    monkeypatch.setattr(triaxial, "settle", nothing_runs)
+    specimen = fcc_octagon(layers=5, half_width=3)
+    with pytest.warns(UserWarning, match=r"friction 0\.1 is below the confining_friction 0\.3"):
+        TriaxialTest(specimen, params=Params(friction=0.1), confining_friction=0.3)
+    with pytest.warns(UserWarning, match="friction 0 is below"):
+        TriaxialTest(specimen, scene=Scene(friction=False), confining_friction=0.3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        test = TriaxialTest(specimen, params=Params(friction=0.3), confining_friction=0.3)
+    with pytest.warns(UserWarning, match=r"friction 0\.2 is below"), pytest.raises(AssertionError):
+        test.run(Params(friction=0.2))
+
+
+def nothing_runs(*_):
+    raise AssertionError("no confinement here")
 
 
 def test_measured_from_the_command_line(tmp_path):

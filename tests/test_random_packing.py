@@ -1,14 +1,17 @@
 """Random specimens: gradings, generation and compaction, against brute force and identities of balance."""
 
+import re
 from dataclasses import replace
 from functools import lru_cache
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from axijax import Hertz, Params
+from axijax import Hertz, Params, Scene, random_packing
 from axijax.contacts import geometry
 from axijax.dynamics import all_forces, initial_state, positions
+from axijax.engine import until_balls_moved
 from axijax.grading import linear, sieve_curve, two_sizes, uniform
 from axijax.membrane import build_membrane, lateral_force, membrane_load
 from axijax.neighbors import build_network
@@ -16,6 +19,7 @@ from axijax.packing import cut_to_sector
 from axijax.random_packing import platen_speed, random_cylinder
 from axijax.sector import Sector
 from axijax.triaxial import TriaxialTest
+from axijax.vector import from_rows
 
 BALLS = {1: 60, 3: 90, 4: 96, 12: 144}
 TOLERANCE = 1e-3
@@ -162,6 +166,87 @@ def test_sheared_dense_specimen_is_stronger_than_it_ends():
     assert float(curve.volumetric_strain[-1]) < -0.01, "it dilates"
 
 
+# Wide gradings and soft balls
+
+
+@pytest.mark.parametrize(("ratio", "stiffness"), [(6.0, 1.5e9), (1.5, 5e7)], ids=["size ratio 6", "s3 r/kn = 0.02"])
+def test_wide_gradings_and_soft_balls_settle(ratio, stiffness):
+    """Stress from every pair's overlap, by brute force over the full cylinder, against the platens' pushes; the
+    tangential forces that it leaves out are within the compaction friction of 0.05."""
+    params = Params(normal_stiffness=stiffness, shear_stiffness=stiffness)
+    grading = linear(24 / ratio, 24.0)
+    cylinder, report = random_cylinder(60, Sector(2), grading, params=params, seed=1, tolerance=0.02)
+    assert report.radii.max() / report.radii.min() == pytest.approx(ratio, rel=0.1)
+    i, j = np.triu_indices(len(cylinder), 1)
+    apart = cylinder.positions[:, i] - cylinder.positions[:, j]
+    distance = np.linalg.norm(apart, axis=0)
+    overlap = np.maximum(cylinder.radius[i] + cylinder.radius[j] - distance, 0.0)
+    above = cylinder.positions[2] - cylinder.bottom, cylinder.top - cylinder.positions[2]
+    pushes = [stiffness * np.maximum(cylinder.radius - gap, 0.0) for gap in above]
+    inside = (stiffness * overlap * apart[2] ** 2 / distance).sum()
+    inside += sum((push * gap).sum() for push, gap in zip(pushes, above, strict=True))
+    forces = [push.sum() for push in pushes]
+    assert forces[0] == pytest.approx(forces[1], rel=0.05)
+    assert inside == pytest.approx(np.mean(forces) * report.height, rel=0.05)
+    # Rm is that of the outer balls found anew at the end, and not quite the one that the load was for.
+    assert np.mean(forces) == pytest.approx(params.confining_stress * np.pi * report.membrane_radius**2, rel=0.1)
+    # What came out bears its load with true masses too: a test finds it balanced, and takes soft balls' overlaps.
+    test = TriaxialTest(cylinder, Sector(2), params=replace(params, friction=0.3), confining_friction=0.05,
+                        tolerance=0.02, confine_steps=2000)  # fmt: skip
+    state, balance = test.confine()
+    assert float(balance.worst) <= 0.02
+    assert float(state.platens[1] - state.platens[0]) == pytest.approx(report.height, rel=0.02)
+
+
+def test_no_ball_is_made_heavier_in_the_default_grading_and_small_ones_are_in_a_wide_one():
+    """Steps are for twelve contacts of the lightest; a ball of x times the smallest radius has room for 3 (1 + x)^2."""
+    default = linear(16.0, 24.0).sample(1000)
+    assert random_packing._inertia(default) == (None, default.min())
+    wide = linear(10.0, 60.0).sample(1000)
+    inertia, least = random_packing._inertia(wide)
+    mass = np.asarray(inertia) * wide**3
+    assert least > 2 * wide.min() and (np.asarray(inertia) >= 1).all()
+    assert (mass / (3 * (1 + wide / wide.min()) ** 2) >= (1 - 1e-12) * least**3 / 12).all()
+
+
+def test_a_ball_that_flies_does_not_outrun_the_contact_list():
+    """Steps end before two balls can have met unseen, wherever the speed of one of them doubles with every step."""
+    cut = cut_to_sector(made(4)[1], Sector(4))
+    network = build_network(cut, Sector(4))
+    state = initial_state(Scene(), Params(), network, [cut.bottom, cut.top])
+    for speed in (0.01, 0.3, 0.7):  # skins a step
+        outward = np.zeros((3, len(cut)))
+        outward[2, 7] = speed * float(network.skin)
+        start = state._replace(velocity=from_rows(outward))
+
+        def faster(s):
+            return s._replace(displacement=s.displacement + s.velocity, velocity=s.velocity * 1.5)
+
+        after, steps = until_balls_moved(faster, network, 1.0, 50, start)
+        moved = float(jnp.abs(after.displacement.z).max())
+        assert moved <= float(network.skin) and 1 <= int(steps) < 10
+        assert moved == pytest.approx(outward[2, 7] * (1.5 ** int(steps) - 1) / 0.5)
+
+
+def nothing_runs(*_):
+    raise AssertionError("refused only after it began")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"grading": linear(10.0, 70.0)}, r"size ratio is 6\.9\d .* up to 6"),
+        ({"params": Params(normal_stiffness=2.5e7)}, r"s3 r/kn = 0\.04: .* size ratio 1\.5 are supported up to 0\.022"),
+        ({"params": Params(normal_stiffness=1e8), "grading": linear(10.0, 40.0)}, r"s3 r/kn = 0\.0125: .*0\.006"),
+        ({"grading": two_sizes(10.0, 40.0, 0.999)}, r"none is of diameter 40 to 80, though 0\.1 % .*: take \d+ balls"),
+    ],
+)
+def test_what_is_not_supported_is_refused_at_once(monkeypatch, options, words):
+    monkeypatch.setattr(random_packing, "_grown", nothing_runs)
+    with pytest.raises(ValueError, match=words):
+        random_cylinder(800, Sector(1), **options)
+
+
 # Gradings
 
 
@@ -190,6 +275,61 @@ def test_sieve_curve_is_met(tmp_path):
     assert passing_by_mass(radii, np.sqrt(30 * 40) / 2) == pytest.approx(45, abs=0.2)
     few = sieve_curve(path).sample(500)
     assert passing_by_mass(few, 20) == pytest.approx(70, abs=1)
+
+
+GAP = "opening,passing\n1,0\n1.25,30\n4,30\n5,100\n"  # size ratio 5, no ball between
+
+
+def sieved(folder, text=GAP):
+    path = folder / "sand.csv"
+    path.write_text(text)
+    return sieve_curve(path)
+
+
+def test_so_many_balls_of_each_fraction_that_no_other_choice_is_nearer(tmp_path):
+    """Against every way to part 24 balls among three fractions."""
+    grading = sieved(tmp_path, "opening,passing\n20,0\n30,25\n40,60\n50,100\n")
+    wanted = np.array([0.25, 0.35, 0.4])
+
+    def part(count, low, high):
+        """The middles of so many parts, equal by number, of diameters with the mass spread over log d."""
+        share = (np.arange(count) + 0.5) / max(count, 1)
+        return ((1 - share) * low**-3.0 + share * high**-3.0) ** (-1 / 3)
+
+    def missed(counts):
+        cubes = [(part(n, *ends) ** 3).sum() for n, ends in zip(counts, ((20, 30), (30, 40), (40, 50)), strict=True)]
+        return np.abs(np.array(cubes) / sum(cubes) - wanted).max()
+
+    least = min(missed((a, b, 24 - a - b)) for a in range(25) for b in range(25 - a))
+    fractions = grading.fractions(grading.sample(24))
+    np.testing.assert_allclose([each.wanted for each in fractions], wanted, atol=1e-4)
+    assert max(abs(each.got - each.wanted) for each in fractions) == pytest.approx(least, abs=1e-3)
+
+
+def test_a_grading_that_is_not_met_is_told_with_the_balls_that_would_do(tmp_path, monkeypatch):
+    """30 % of fines asked for beside one coarse ball among 15: the number that is told does, and no smaller one."""
+    grading = sieved(tmp_path)
+    radii = grading.sample(15)
+    fines = passing_by_mass(radii, 1.0)
+    assert 0 < (radii > 1).sum() < 15 and abs(fines - 30) > 5
+    monkeypatch.setattr(random_packing, "_grown", nothing_runs)
+    with (
+        pytest.warns(UserWarning, match=rf"diameter .* have {fines:.3g} % .* 30 % is asked for; \d+ balls") as told,
+        pytest.raises(AssertionError),
+    ):
+        random_cylinder(30, Sector(2), grading)
+    enough = int(re.search(r"; (\d+) balls", str(told[0].message)).group(1))
+    assert enough % 2 == 0
+    assert abs(passing_by_mass(grading.sample(enough // 2), 1.0) - 30) <= 5
+    assert all(abs(passing_by_mass(grading.sample(n), 1.0) - 30) > 5 for n in range(15, enough // 2))
+
+
+def test_a_fraction_without_a_ball_is_refused_with_the_balls_that_would_do(tmp_path):
+    grading = sieved(tmp_path, "opening,passing\n10,0\n12,90\n40,90.1\n60,100\n")
+    with pytest.raises(ValueError, match=r"of 20 balls in a sector none is .*: take (\d+) balls") as told:
+        random_cylinder(40, Sector(2), grading)
+    enough = int(re.search(r"take (\d+) balls", str(told.value)).group(1)) // 2
+    assert np.histogram(grading.sample(enough), grading.sieves)[0].min() > 0
 
 
 @pytest.mark.parametrize(
