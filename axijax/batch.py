@@ -374,7 +374,8 @@ def _acceptable() -> Callable[[Member], bool]:
         try:
             check_params(params, len(test.cut))
             if not test.allow_unsafe_step:
-                known = (id(test), *(value for name, value in values_of(params).items() if name != "friction"))
+                values = (value for name, value in values_of(params).items() if name != "friction")
+                known = (id(test), jax.tree.structure(params), *values)
                 if known not in limits:
                     limits[known] = critical_time_step(test.scene, params, test.network)
                 check_step(test.prepared.time_step, limits[known])

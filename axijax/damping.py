@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from axijax.quantity import quantity
 from axijax.sector import radial_distance
+from axijax.tree import pytree
 from axijax.vector import Vector
 
 
@@ -38,7 +39,7 @@ class Damping:
 UNDAMPED = Damping()
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Dashpot(Damping):
     """Dashpots c = 2 beta sqrt(k m*) in the contacts, normal while they touch, tangential while they stick."""
@@ -52,7 +53,7 @@ class Dashpot(Damping):
         return self.damping_ratio
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class LocalDamping(Damping):
     """Cundall's local damping, -a |F| sign(v) in each component: a force is reduced where it drives the motion, and
@@ -81,7 +82,7 @@ class LocalDamping(Damping):
         return -self.drag(place, motion, force).dot(mean_motion)
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class BackgroundDamping(Damping):
     """Mass-proportional damping: every velocity and spin decays at a rate. Adds strength that is not there."""

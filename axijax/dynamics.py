@@ -35,8 +35,8 @@ class Scene:
 
 
 def spins(scene: Scene, params: Params) -> bool:
-    """Whether balls spin: nothing turns them where contacts have no friction."""
-    return scene.rotation and params.material.frictional
+    """Whether balls spin: nothing turns them where neither contacts nor platens have friction."""
+    return scene.rotation and (params.material.frictional or params.material.platen_friction is not None)
 
 
 def terms_of(params: Params, load: Load | None = None) -> tuple[Term, ...]:

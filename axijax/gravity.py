@@ -7,10 +7,11 @@ import jax.numpy as jnp
 
 from axijax.quantity import quantity
 from axijax.term import Push, Spent, Term, share_of_sector
+from axijax.tree import pytree
 from axijax.vector import Vector
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Gravity(Term):
     """Weight of the balls; along -z by default.

@@ -29,6 +29,7 @@ from axijax.contacts import Geometry, Law
 from axijax.material import Material
 from axijax.neighbors import Network
 from axijax.quantity import quantity
+from axijax.tree import pytree
 from axijax.vector import Vector
 from axijax.walls import Wall
 
@@ -107,7 +108,7 @@ class HertzWall(NamedTuple):
         return 0.4 * self.stiffness * overlap_product**1.25
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Hertz(Material):
     """Elastic spheres of one material (Hertz-Mindlin), by default of glass, the stress being in Pa."""

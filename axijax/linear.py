@@ -9,10 +9,11 @@ from axijax.contacts import Law
 from axijax.material import Material
 from axijax.neighbors import Network
 from axijax.quantity import quantity
+from axijax.tree import pytree
 from axijax.walls import Wall
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Linear(Material):
     """Linear springs (Cundall & Strack 1979), by default those of Cui & O'Sullivan (2005); plates are like balls.

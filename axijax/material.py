@@ -15,7 +15,7 @@ from axijax.quantity import part, quantity
 from axijax.rolling import Rolling, Torsion
 
 if TYPE_CHECKING:
-    from axijax.contact import ContactLaw
+    from axijax.contacts import ContactLaw
     from axijax.neighbors import Network
     from axijax.walls import WallLaw
 
@@ -25,7 +25,7 @@ class Material:
     """Parts that every material has; frictional balls with dashpots in their contacts by default.
 
     A subclass, from outside the package too, adds its own parameters with `quantity` and defines the methods below;
-    `jax.tree_util.register_dataclass` makes it a pytree.
+    `axijax.tree.pytree` makes it one.
     """
 
     friction: jax.Array | float | None = quantity(
@@ -35,10 +35,15 @@ class Material:
         symbols=("f", "mu"),
         coordinate="logit",
         per_ball=True,
+        optional=True,
     )
     density: jax.Array | float = quantity(2000.0, "density of the balls", "M/L^3", above=0.0, symbols=("rho",))
     platen_friction: jax.Array | float | None = quantity(
-        None, "Coulomb coefficient between balls and platens; none: smooth, inf: glued", "-", infinite=True
+        None,
+        "Coulomb coefficient between balls and platens; none: smooth, inf: glued",
+        "-",
+        infinite=True,
+        optional=True,
     )
     damping: Damping | None = Dashpot()
     rolling: Rolling | None = part(Rolling, "resistance to rolling")

@@ -5,13 +5,15 @@ from typing import Any
 
 import jax
 
+from axijax.damping import Damping
 from axijax.linear import Linear
 from axijax.material import Material
-from axijax.quantity import check_values, parts_of, present, quantity, with_values
+from axijax.quantity import check_values, optional_parts, parts_of, present, quantity, with_values
 from axijax.term import Term
+from axijax.tree import pytree
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True, init=False)
 class Params:
     """A tree of numbers in consistent units, each may be a traced JAX value.
@@ -74,4 +76,11 @@ def check_params(params: Params, balls: int) -> None:
         raise ValueError(f"params = {params!r}: must be an axijax.Params.")
     if not isinstance(params.material, Material):
         raise ValueError(f"material = {params.material!r}: must be a material, such as axijax.Linear().")
+    for name, kind in (("damping", Damping), *optional_parts(params.material).items()):
+        part = getattr(params.material, name)
+        if part is not None and not isinstance(part, kind):
+            raise ValueError(f"{name} = {part!r}: must be None or of axijax's kind {kind.__name__}, see its module.")
+    for term in params.terms:
+        if not isinstance(term, Term):
+            raise ValueError(f"terms hold {term!r}: each must be an axijax.term.Term.")
     check_values(params, balls)

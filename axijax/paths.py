@@ -17,6 +17,7 @@ from axijax.neighbors import Network
 from axijax.observe import Observation
 from axijax.params import Params
 from axijax.state import State
+from axijax.tree import pytree
 
 
 class Path:
@@ -63,7 +64,7 @@ class Balance(NamedTuple):
 RANDOM_DAMPING = 0.1
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Isotropic(Path):
     """Membrane and both platens at the confining stress until forces balance.
@@ -112,7 +113,7 @@ class Isotropic(Path):
         return (watched.worst > self.tolerance) & (steps < self.most_steps)
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Compression(Path):
     """Both platens move inward at the platen speed, which is reached smoothly after `ramp_time` [T]: a sudden start

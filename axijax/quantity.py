@@ -31,6 +31,7 @@ class Quantity:
     symbols: short names by which a fit may call it.
     coordinate: in which it is a number without bounds: "log" of a scale, "logit" of what lies between 0 and `below`.
     per_ball: it may also be one number a ball. whole: it counts something. infinite: it may be infinite.
+    optional: it may be None, that is not there.
     """
 
     meaning: str
@@ -44,6 +45,7 @@ class Quantity:
     per_ball: bool = False
     whole: bool = False
     infinite: bool = False
+    optional: bool = False
 
     @property
     def description(self) -> str:
@@ -185,11 +187,11 @@ def _replaced(tree, left: dict[str, Any]):
         return tree
     changes = {}
     for f in dataclasses.fields(tree):
-        before = getattr(tree, f.name)
+        value = left.pop(f.name) if f.name in left else getattr(tree, f.name)
         kind = f.metadata.get("part")
-        if before is None and kind is not None and f.name not in left and set(left) & set(declared(kind)):
-            before = kind()
-        after = left.pop(f.name) if f.name in left else _replaced(before, left)
+        if value is None and kind is not None and set(left) & set(declared(kind)):
+            value = kind()
+        after = _replaced(value, left)
         if after is not getattr(tree, f.name):
             changes[f.name] = after
     return dataclasses.replace(tree, **changes) if changes else tree  # type: ignore[type-var]
@@ -209,8 +211,10 @@ def check_values(tree, balls: int | None = None, where: Callable[[str], str] = s
 
     balls: number of balls in the sector, for parameters that may be given per ball.
     """
-    for name, (about, value) in present(tree).items():
-        if not isinstance(value, jax.core.Tracer):
-            trouble = about.trouble(where(name), value, balls)
-            if trouble:
-                raise ValueError(trouble)
+    every = [(name, about, getattr(part, name)) for part in parts_of(tree) for name, about in declared(part).items()]
+    for name, about, value in every:
+        if (value is None and about.optional) or isinstance(value, jax.core.Tracer):
+            continue
+        trouble = about.trouble(where(name), value, balls)
+        if trouble:
+            raise ValueError(trouble)

@@ -21,6 +21,7 @@ from axijax import capped_spring
 from axijax.contacts import geometry, normal_force_of
 from axijax.quantity import quantity
 from axijax.term import Memory, Push, Spent, Stored, Term
+from axijax.tree import pytree
 from axijax.vector import Vector, zeros
 
 
@@ -97,7 +98,7 @@ class RotationResistance(Term):
         return cut, before, now
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Rolling(RotationResistance):
     """Resistance to rolling of one ball on another."""
@@ -117,7 +118,7 @@ class Rolling(RotationResistance):
         return vectors - normal * vectors.dot(normal)
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Torsion(RotationResistance):
     """Resistance to spinning of one ball against another about their normal."""

@@ -4,8 +4,8 @@ Contacts, walls and lateral load make a triaxial test; more are added to `Params
 Dynamics, energy ledger, snapshot, checkpoint and critical time step loop over the terms of a scene in their order
 (`axijax.dynamics.terms_of`); Python composes them while tracing, so what is compiled is one program.
 
-A term that is a parameter of a test is a pytree (`jax.tree_util.register_dataclass`) whose numbers are declared with
-`axijax.quantity.quantity`.
+A term that is a parameter of a test is a frozen dataclass registered by `axijax.tree.pytree`, whose numbers are
+declared with `axijax.quantity.quantity`.
 """
 
 import operator
