@@ -190,7 +190,7 @@ class Hertz(Material):
             share = np.asarray(network.weight)[balls].sum()
             load = OVERLOAD * float(stress) * area / max(share, 1e-3)
             load = jnp.maximum(load, self.force(radius[balls], overlap))
-            return np.asarray(self.tangent_stiffness(radius[balls], load)[0])
+            return [np.asarray(k) for k in self.tangent_stiffness(radius[balls], load)]
 
         return np.asarray(normal), np.asarray(shear), of_wall
 

@@ -60,4 +60,4 @@ class Linear(Material):
 
     def stiffest(self, network, stress, touching_within):
         normal, shear = float(self.normal_stiffness), float(self.shear_stiffness)
-        return normal, shear, lambda balls, area, overlap: normal
+        return normal, shear, lambda balls, area, overlap: (normal, shear)

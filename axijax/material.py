@@ -79,9 +79,10 @@ class Material:
 
     def stiffest(self, network: "Network", stress, touching_within: float):
         """For the critical time step (host): tangent stiffness of the contacts if closed, normal and tangential, (C,)
-        or numbers, and that of the contacts of one plate as a function of the balls that touch it, its area and their
-        overlaps [F/L]."""
-        raise NotImplementedError
+        or numbers, and that of the contacts of one plate, both, as a function of the balls that touch it, its area and
+        their overlaps [F/L]. None where it is to be found from the forces, which takes longer; so of a subclass that
+        changes the law of `Linear` or `Hertz`."""
+        return None
 
     def stiffness_over(self, reference: "Material"):
         """How many times stiffer than a reference of the same kind, by the larger of normal and tangential [-]: with so
