@@ -50,9 +50,6 @@ class Linear(Material):
     def confined_stiffness(self, network, stress):
         return self.normal_stiffness, self.shear_stiffness
 
-    def stiffness_ratio(self):
-        return self.normal_stiffness / self.shear_stiffness
-
     def stiffness_over(self, reference):
         return jnp.maximum(
             self.normal_stiffness / reference.normal_stiffness, self.shear_stiffness / reference.shear_stiffness

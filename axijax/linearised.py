@@ -2,16 +2,16 @@
 step where a term or a material is not one that `axijax.time_step` knows by heart (host).
 
 Every contact sticks: friction is without limit, and whatever is nearer than touching is pressed together. Tangential
-springs have no place in a displacement; they grow in a step by slip rate times dt. So the forces' derivative by
-velocities and spins is C + dt K_t, dashpots and tangential springs, and that by displacements is what is left of the
-stiffness. A term with springs of its own is seen if it lets them grow by a step before it takes their force, as contacts
-and walls do.
+springs do not follow from the places of the balls; they grow in a step by slip rate times dt. So the forces' derivative
+by velocities and spins is C + dt K_t, of dashpots and tangential springs, and that by displacements is what is left of
+the stiffness. A term with springs of its own is seen if it lets them grow by a step before it takes their force, as
+contacts and walls do.
 """
 
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -111,8 +111,9 @@ def linearised(
     def response(vector, moved, dt):
         motion = vector.reshape(scale.shape) * scale * free
         velocity, spin = from_rows(motion[:3]), None if state.spin is None else from_rows(motion[3:])
-        push = _response(scene, params, pressed, state, dt, velocity * moved, velocity, spin)
-        return -(np.concatenate([np.asarray(part) for part in push if part is not None]) * weight * scale * free).ravel()
+        pushes = _response(scene, params, pressed, state, dt, velocity * moved, velocity, spin)
+        change = np.concatenate([np.asarray(push) for push in pushes if push is not None])
+        return -(change * weight * scale * free).ravel()
 
     # Forces' derivative by velocity is linear in dt: two steps' give its two parts.
     def stiff(vector):
@@ -124,7 +125,7 @@ def linearised(
     return Operators(scale.size, stiff, viscous)
 
 
-def _stuck(params: Params) -> dict[str, float]:
+def _stuck(params: Params) -> dict[str, Any]:
     material = params.material
     limits = {"friction": STICKING, "platen_friction": np.inf}
     return {name: limit for name, limit in limits.items() if getattr(material, name) is not None}
@@ -155,6 +156,7 @@ def _pressed(params: Params, network: Network, touching_within: float, squeeze: 
     if squeeze is None:
         law = params.material.contact_law(network)
 
+        @jax.jit
         def contact_force(overlap):
             place = Geometry(normal * (reach - overlap), 1 / reach, overlap)
             return law.at(place, None, dt).normal_stiffness * overlap

@@ -14,7 +14,7 @@ from axijax.damping import UNDAMPED, Damping, Dashpot
 from axijax.quantity import quantity
 
 if TYPE_CHECKING:
-    from axijax.contact import ContactLaw
+    from axijax.contacts import ContactLaw
     from axijax.neighbors import Network
     from axijax.walls import WallLaw
 
@@ -71,10 +71,6 @@ class Material:
 
     def confined_stiffness(self, network: "Network", stress) -> tuple[Any, Any]:
         """Normal and tangential tangent stiffness [F/L] of the mean contact under a confining stress."""
-        raise NotImplementedError
-
-    def stiffness_ratio(self):
-        """Normal force over overlap, over the tangential stiffness [-]; at any load the same."""
         raise NotImplementedError
 
     def stiffest(self, network: "Network", stress, touching_within: float):

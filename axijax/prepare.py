@@ -11,7 +11,7 @@ from axijax.dynamics import Scene
 from axijax.membrane import Load, Membrane, build_membrane
 from axijax.neighbors import Network, build_network
 from axijax.params import check_params
-from axijax.paths import Compression, Isotropic, wave_speed
+from axijax.paths import Compression, Isotropic, Path, wave_speed
 from axijax.rebuild import roomy_lists
 from axijax.time_step import DEFAULT_STEP, check_step, critical_time_step
 from axijax.update import Grid, grid_for
@@ -42,7 +42,7 @@ class Prepared:
     """A test ready to be simulated, a pytree: tests of one structure and one shape share a compiled program.
 
     platens: (2,) heights of the bottom and the top platen before confinement [L].
-    time_step: of a step [T]. confinement, shear: the two stages' paths.
+    time_step: of a step [T]. confinement, shear: the two stages' paths; `dataclasses.replace` puts in one of your own.
     lateral_load: a constant load in place of the membrane's, or None.
     scene, numerics: static.
     """
@@ -52,7 +52,7 @@ class Prepared:
     platens: jax.Array
     time_step: jax.Array | float
     confinement: Isotropic
-    shear: Compression
+    shear: Path
     lateral_load: Load | None
     scene: Scene = field(metadata={"static": True})
     numerics: Numerics = field(metadata={"static": True})

@@ -72,11 +72,14 @@ def _at_rest(scene: Scene, path: Isotropic, lists: Lists, params: Params, platen
 
 
 def start_shear(scene: Scene, params: Params, lists: Lists, confined: State) -> State:
-    """The test's friction on, balls and platens from rest; springs of a frictional confinement are kept, or else start
-    from nothing."""
+    """The test's friction on, balls and platens from rest; what a term carried through confinement is kept, such as
+    springs of a frictional one, and what it did not have there starts from nothing."""
     rest = initial_state(scene, params, lists[0], confined.platens)
-    spring = rest.spring if confined.spring is None or rest.spring is None else confined.spring
-    return rest._replace(displacement=confined.displacement).with_spring(spring)
+    memory = tuple(
+        kept if jax.tree.structure(kept) == jax.tree.structure(new) else new
+        for kept, new in zip(confined.memory, rest.memory, strict=True)
+    )
+    return rest._replace(displacement=confined.displacement, memory=memory)
 
 
 @jax.jit

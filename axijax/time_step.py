@@ -22,9 +22,10 @@ def critical_time_step(scene: Scene, params: Params, network: Network, touching_
     undamped part). Found by a sparse eigenvalue solver. With dashpots it need not be the fastest mode's: where
     ks < kn they damp spins more. Contacts count as closed where the gap is below touching_within of the ball's radius.
 
-    A stiffness that depends on the load is that at the load to come: `hertz.OVERLOAD` times the mean contact force under
-    the confining stress, or at the overlap of the network where that is deeper. Terms that stiffen, and materials that
-    do not say how stiff they are, are linearised (`axijax.linearised`), which takes some ten times as long.
+    A stiffness that depends on the load is that at the load to come: `hertz.OVERLOAD` times the mean contact force
+    under the confining stress, or at the overlap of the network where that is deeper. A scene with a term that
+    stiffens, or with a material that does not say how stiff it is, is linearised by `axijax.linearised`, which takes
+    longer: a program is compiled.
     """
     operators = None
     if not any(term.stiffens for term in params.terms):

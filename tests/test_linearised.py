@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import axijax.linearised
 from axijax import Hertz, Params, Scene, Sector, Specimen, TriaxialTest, fcc_octagon
 from axijax.capped_spring import capped
 from axijax.linear import Linear
@@ -24,7 +25,17 @@ RADIUS, STIFFNESS = 20.0, 1.5e9
 QUARTER, HALF, FULL, RIGID = Sector(4), Sector(2), Sector(1), Sector(4, "rigid")
 PLAIN = Scene()
 # So little load that a contact's own force, which turns with it, counts for nothing beside its stiffness.
-SLIGHT = {"confining_stress": 1.0}
+SLIGHT = {"confining_stress": 1e-3}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def brief():
+    """Many small programs that run briefly: not worth optimising."""
+    with pytest.MonkeyPatch.context() as patch:
+        program = axijax.linearised._response.__wrapped__
+        level = {"xla_backend_optimization_level": 0}
+        patch.setattr(axijax.linearised, "_response", jax.jit(program, static_argnums=0, compiler_options=level))
+        yield
 
 
 @lru_cache
@@ -46,7 +57,7 @@ def heap():
 
 SCENES = {
     "quarter": (lattice(QUARTER), PLAIN, Params()),
-    "strong dashpots, soft shear": (lattice(QUARTER), PLAIN, Params(damping_ratio=0.3, shear_stiffness=0.2 * STIFFNESS)),
+    "strong dashpots, soft shear": (lattice(QUARTER), PLAIN, Params(damping_ratio=0.3, shear_stiffness=0.3e9)),
     "stiff shear": (lattice(QUARTER), PLAIN, Params(damping_ratio=0.0, shear_stiffness=3 * STIFFNESS)),
     "half": (lattice(HALF), PLAIN, Params(shear_stiffness=0.5 * STIFFNESS)),
     "full": (lattice(FULL), PLAIN, Params(shear_stiffness=0.5 * STIFFNESS)),
@@ -66,7 +77,7 @@ SCENES = {
 def test_the_operators_written_by_hand_are_the_derivative_of_the_forces(name):
     network, scene, params = SCENES[name]
     hertz = isinstance(params.material, Hertz)
-    squeeze, accuracy = (None, 1e-5) if hertz else (1e-11, 1e-9)
+    squeeze, accuracy = (None, 1e-6) if hertz else (1e-11, 1e-9)
     found = linearised(scene, params, network, squeeze=squeeze)
     expected = springs_and_dashpots(scene, params, network, 1e-3)
     assert found.size == expected.size
@@ -76,7 +87,8 @@ def test_the_operators_written_by_hand_are_the_derivative_of_the_forces(name):
         scale = np.abs(hands(first)).max()
         np.testing.assert_allclose(of_first, hands(first), atol=accuracy * scale, rtol=0)
         assert first @ of_second == pytest.approx(second @ of_first, abs=10 * accuracy * abs(first @ of_first))
-    assert (np.abs(expected.viscous(first)).max() > 0) == (params.material.damping is not None and name != "stiff shear")
+    damped = params.material.damping is not None and params.damping_ratio > 0
+    assert (np.abs(expected.viscous(first)).max() > 0) == damped
 
 
 def by_forces(scene, params, network):
