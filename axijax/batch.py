@@ -16,7 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -29,7 +29,7 @@ from axijax.batch_files import Stored, open_batch, read_member, slug, write_fail
 from axijax.curve import RECORDS, Curve, warn_of_chatter
 from axijax.params import Params, check_params
 from axijax.progress import Progress
-from axijax.quantity import present
+from axijax.quantity import declared, parts_of, values_of
 from axijax.results import writable_folder
 from axijax.stages import simulate
 from axijax.time_step import check_step, critical_time_step
@@ -108,13 +108,14 @@ def parameter_grid(test: TriaxialTest, **values: Sequence[float]) -> list[Member
 
     Raises ValueError for a name that is no parameter, and for an empty list.
     """
-    known = [f.name for f in fields(Params)]
+    known = [name for part in parts_of(test.params) for name in declared(part)]
     for name, sequence in values.items():
         if name not in known:
-            raise ValueError(f"'{name}' is not a parameter of a test; known are {', '.join(known)}.")
+            raise ValueError(f"'{name}' is not a parameter of this test; it has {', '.join(known)}.")
         if np.ndim(sequence) != 1 or not len(sequence):
             raise ValueError(f"{name} = {sequence!r}: must be a list of at least one number.")
-    sets = [dict(zip(values, map(float, point), strict=True)) for point in itertools.product(*values.values())]
+    points = itertools.product(*values.values())
+    sets: list[dict[str, Any]] = [dict(zip(values, map(float, point), strict=True)) for point in points]
     return [Member(point_name(point), test, replace(test.params, **point), point) for point in sets]
 
 
@@ -363,7 +364,7 @@ def _acceptable() -> Callable[[Member], bool]:
         try:
             check_params(params, len(test.cut))
             if not test.allow_unsafe_step:
-                known = (id(test), *(value for name, (_, value) in present(params).items() if name != "friction"))
+                known = (id(test), *(value for name, value in values_of(params).items() if name != "friction"))
                 if known not in limits:
                     limits[known] = critical_time_step(test.scene, params, test.network)
                 check_step(test.prepared.time_step, limits[known])

@@ -18,6 +18,7 @@ import numpy as np
 
 from axijax.curve import RECORDS, Confinement, Curve
 from axijax.params import Params
+from axijax.quantity import values_of
 from axijax.results import curves_dataset, save_dataset, save_table, write_whole
 from axijax.triaxial import TriaxialTest
 
@@ -48,7 +49,7 @@ class Stored:
         at_peak = [
             float(getattr(curve, n)[peak]) for n in ("stress_ratio", "core_ratio", "virial_ratio", "axial_strain")
         ]
-        scalars = {name: float(value) for name, value in vars(self.params).items() if np.ndim(value) == 0}
+        scalars = {name: float(value) for name, value in values_of(self.params).items() if np.ndim(value) == 0}
         # A label says what was asked for; a parameter of the same name is the same number.
         about = scalars | self.labels | dict(zip(PEAK, at_peak, strict=True)) | {"seconds": self.seconds}
         attributes = {

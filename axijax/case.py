@@ -60,11 +60,12 @@ def _section(name: str, source: type) -> Any:
     hints = get_type_hints(source)
     made: dict[str, Any] = {}
     for each, about in settings(source).items():
-        kind, default = hints[each], source.__dataclass_fields__[each].default
-        told = about.description
+        kind, default = hints[each], source.__dataclass_fields__[each].default  # type: ignore[attr-defined]
+        told: dict[str, Any] = {"description": about.description, **bounds(about)}
         if each in LEFT_OUT:
-            kind, default, told = kind | None, None, f"{told}; {LEFT_OUT[each]}"
-        made[each] = (kind, Field(default, description=told, **bounds(about)))
+            kind, default = kind | None, None
+            told["description"] += f"; {LEFT_OUT[each]}"
+        made[each] = (kind, Field(default, **told))
     return create_model(name, __base__=Section, __doc__=inspect.getdoc(source), **made)
 
 
@@ -190,7 +191,7 @@ class Case(Section):
 
 
 @lru_cache(maxsize=8)  # a sweep's members share a specimen
-def _packed(specimen: str, sector: str, material: tuple[tuple[str, float], ...]) -> "tuple[Specimen, PackingReport]":
+def _packed(specimen: str, sector: str, material: tuple[tuple[str, Any], ...]) -> "tuple[Specimen, PackingReport]":
     """A random specimen, from sections in JSON."""
     from axijax.grading import linear, sieve_curve
     from axijax.random_packing import random_cylinder

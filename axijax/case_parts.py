@@ -69,9 +69,10 @@ def _parameters() -> dict[str, Any]:
     made: dict[str, Any] = {}
     for part in (Linear, Hertz, *(kind for kind in DAMPINGS.values() if kind is not None), Params):
         for name, about in declared(part).items():
-            default = part.__dataclass_fields__[name].default
+            default = part.__dataclass_fields__[name].default  # type: ignore[attr-defined]
             kind = float if default is not None else float | None
-            made[name] = kind, Field(default, description=about.description, allow_inf_nan=about.infinite, **bounds(about))
+            told: Any = {"description": about.description, "allow_inf_nan": about.infinite, **bounds(about)}
+            made[name] = kind, Field(default, **told)
     return made
 
 

@@ -94,13 +94,18 @@ def table1(
 
 
 def calibrate(
-    data: Annotated[Path, typer.Argument(help="Measured curve, CSV with named columns (see calibrate.MeasuredCurve).")],
+    data: Annotated[Path, typer.Argument(help="Measured curve: text with named columns, see below.")],
     fit: Annotated[str, typer.Option(help="Parameters to fit, with commas: friction,kn,ks..")] = "friction",
     case: Annotated[Path | None, typer.Option(help="Case file of the test; left out: the paper's quarter.")] = None,
     output: Annotated[Path, typer.Option(help="Folder for the fit, its picture and its log.")] = Path("calibration"),
     check: Annotated[bool, typer.Option(help="End with the health of the gradient at the answer.")] = True,
 ) -> None:
     """Fit friction and stiffness of a triaxial test to a measured curve, by derivatives of the simulation.
+
+    The data need axial_strain (or eps_a), and stress_ratio, or confining_stress (sigma_3) with axial_stress (sigma_1)
+    or q = s1 - s3; volumetric_strain (eps_v) is fitted too where it is there. Write units in brackets behind the
+    names, percent or kPa say; strains without are fractions. Compression is positive; "(dilation positive)" behind a
+    name turns its sign.
 
     Writes fit.json, fit.png and evaluations.jsonl into the output folder; an interrupted fit resumes from the latter.
     """

@@ -33,9 +33,9 @@ class Law(NamedTuple):
     kept: the share of the spring of the step before that is left before this step's slip [-]; None for all of it.
     """
 
-    normal_stiffness: jax.Array
-    shear_stiffness: jax.Array
-    friction: jax.Array
+    normal_stiffness: jax.Array | float
+    shear_stiffness: jax.Array | float
+    friction: jax.Array | float | None
     normal_viscosity: jax.Array | None
     shear_viscosity: jax.Array | None
     kept: jax.Array | None = None
@@ -149,6 +149,7 @@ def _evaluate(law: Law, dt, place: Geometry, approach: Vector, surface_velocity:
         spring = spring * law.kept
     normal_part = spring.dot(normal)
     in_plane = spring - normal * normal_part
+    assert law.friction is not None
     tangential, after, slipping = capped_spring.value(
         in_plane, slip_rate, law.shear_stiffness, law.shear_viscosity, law.friction * normal_force, dt
     )

@@ -102,6 +102,7 @@ def all_forces(scene: Scene, params: Params, network: Network, load: Load, dt, s
         term.forces(params, network, dt, state, memory) for term, memory in zip(terms, state.memory, strict=True)
     )
     force, moment = total(pushes, "force"), total(pushes, "moment")
+    assert force is not None
     if network.sector.images > 1:
         force = Vector(force.x * network.free.x, force.y * network.free.y, force.z)
         if moment is not None:

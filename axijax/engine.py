@@ -20,7 +20,7 @@ from axijax.paths import Path
 from axijax.sector import radial_distance
 from axijax.state import State
 from axijax.status import ESCAPED, NOT_FINITE, STALE_CELLS, STALE_LIST
-from axijax.update import Grid, renew
+from axijax.update import renew
 
 STALE = 1e-2  # largest share of the strip's area that may be counted to the wrong cell
 WORN, WORN_CELLS = 0.6, 0.05  # shares of the skin, and of STALE, at which the lists need a rebuild
@@ -37,7 +37,7 @@ def march(
     path: Path,
     records: int,
     record_every: int,
-    rebuild: tuple[int, Grid] | None,
+    rebuild_every: int,
     lists: Lists,
     dt,
     params: Params,
@@ -46,23 +46,22 @@ def march(
 ) -> tuple[State, Observation, jax.Array]:
     """So many records, each followed by `record_every` steps: the last state, the observations and status bits (T,).
 
-    rebuild: make contact list and membrane anew each time after so many records, with this grid; None keeps them.
+    rebuild_every: renew contact list and membrane each time after so many records; zero keeps them.
     fixed: the lateral load where it does not follow the membrane's cells.
     """
-    if rebuild is None:
+    if not rebuild_every:
         # Reverse mode keeps the state before each record and takes its steps again on the way back.
         block = jax.checkpoint(_block(scene, path, record_every, lists, dt, params, state, fixed), prevent_cse=False)
         state, (seen, status) = jax.lax.scan(block, state, None, length=records)
         return state, seen, status
-    every, grid = rebuild
 
     def stretch(carry, _):
         lists, state = carry
-        state, seen, status = march(scene, path, every, record_every, None, lists, dt, params, state, fixed)
-        *lists, state, bits = renew(grid, *lists, state)
-        return (tuple(lists), state), (seen, status | bits)
+        state, seen, status = march(scene, path, rebuild_every, record_every, 0, lists, dt, params, state, fixed)
+        *lists, state = renew(*lists, state)
+        return (tuple(lists), state), (seen, status | lists[0].status)
 
-    (_, state), kept = jax.lax.scan(stretch, (lists, state), None, length=-(-records // every))
+    (_, state), kept = jax.lax.scan(stretch, (lists, state), None, length=-(-records // rebuild_every))
     seen, status = jax.tree.map(lambda values: values.reshape(-1, *values.shape[2:])[:records], kept)
     return state, seen, status
 

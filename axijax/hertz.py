@@ -50,7 +50,7 @@ class HertzLaw(NamedTuple):
 
     normal: jax.Array
     shear: jax.Array
-    friction: jax.Array
+    friction: jax.Array | float | None
     normal_viscosity: jax.Array | None
     shear_viscosity: jax.Array | None
     shallow: jax.Array

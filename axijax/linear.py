@@ -37,9 +37,8 @@ class Linear(Material):
         return Law(*stiffness, friction, *(2 * beta * jnp.sqrt(k * reduced_mass) for k in stiffness))
 
     def wall_law(self, network: Network) -> Wall:
-        stiffness, shear = self.normal_stiffness, self.shear_stiffness
-        if self.platen_friction is None:
-            shear = None
+        stiffness = self.normal_stiffness
+        shear = None if self.platen_friction is None else self.shear_stiffness
         beta = self.kind_of_damping.viscosity_ratio
         if beta is None:
             return Wall(stiffness, None, shear, None)

@@ -57,9 +57,10 @@ class Material:
 
     def contact_friction(self, network: "Network"):
         """Friction coefficient of the contacts: one, or the mean of the two balls' where given per ball [-]."""
-        if jnp.ndim(self.friction) == 0:
-            return self.friction
-        return 0.5 * (self.friction[network.first] + self.friction[network.second])
+        friction: Any = self.friction
+        if jnp.ndim(friction) == 0:
+            return friction
+        return 0.5 * (friction[network.first] + friction[network.second])
 
     def contact_law(self, network: "Network") -> "ContactLaw":
         """The law of the contacts of balls."""

@@ -11,7 +11,7 @@ to large coordinates, and any image of a ball may represent it.
 """
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -20,10 +20,22 @@ from scipy.spatial import cKDTree
 
 from axijax.packing import Specimen
 from axijax.sector import Sector, radial_distance
+from axijax.status import FULL_LIST
 from axijax.vector import Vector, from_rows
 
 if TYPE_CHECKING:
     from axijax.term import Memory
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Cells of the search inside jit: how many along x, y, z, and for how many balls each; static and hashable.
+
+    What lies outside goes to the outermost cells, so that a specimen may outgrow the grid until one is full.
+    """
+
+    cells: tuple[int, int, int]
+    capacity: int
 
 
 @jax.tree_util.register_dataclass
@@ -44,6 +56,8 @@ class Network:
     radius, weight: (N,) ball radii [L] and the share of each ball that belongs to the sector [-].
     free: (N,) vectors of 1 where a ball may move along x, y, z (and spin about it), 0 where the axis forbids it.
     skin: how much farther than touching the list looks [L].
+    status: bits of what went wrong in any update so far; an error sticks.
+    grid: with which `axijax.update` finds contacts inside jit; None where it never does.
     """
 
     first: jax.Array
@@ -65,11 +79,18 @@ class Network:
     weight: jax.Array
     free: Vector
     skin: jax.Array
+    status: jax.Array
     sector: Sector = field(metadata={"static": True})
+    grid: Grid | None = field(default=None, metadata={"static": True})
 
     @property
     def dtype(self):
         return self.radius.dtype
+
+    @property
+    def did_buffer_overflow(self) -> jax.Array:
+        """Whether an update found more contacts than there is room for, as in jax-md; then make a new list."""
+        return (self.status & FULL_LIST) != 0
 
     def of_first(self, vectors: Vector) -> Vector:
         """Vectors of the balls (N,) at the contacts' first balls; (C,)."""
@@ -175,6 +196,7 @@ def build_network(
         weight=jnp.asarray(sector.weight(on_axis).astype(dtype)),
         free=from_rows(np.stack([~on_axis, ~on_axis, np.ones(count, bool)]).astype(dtype)),
         skin=jnp.asarray(skin, dtype),
+        status=jnp.zeros((), jnp.int32),
         sector=sector,
     )
 
@@ -242,25 +264,30 @@ def _pair_up(i, j, k, on_axis, sector: Sector):
     return i, contact, np.where(own, 1.0, -1.0), turn, (i[own], j[own], k[own])
 
 
-def carry_memory(old: Network, new: Network, memory: tuple["Memory", ...]) -> tuple["Memory", ...]:
-    """The terms' memory with what belongs to the old list's contacts, (C,) arrays, at each contact's place (i, j, k) in
-    the new list (host).
+def keys(network: Network, first, second, image) -> jax.Array:
+    """One number for each contact (i, j, k), ascending in a list; padding comes last."""
+    key = (first.astype(jnp.int64) * network.radius.size + second) * network.sector.images + image
+    return jnp.where(image >= 0, key, jnp.iinfo(jnp.int64).max)
 
-    What belongs to a contact that the new list does not hold is dropped. Both lists must describe every ball by the
-    same image.
+
+def places_in(old: Network, new: Network) -> tuple[jax.Array, jax.Array]:
+    """Where each contact of the new list is in the old one, and whether it is there at all; (C,) each.
+
+    Both lists must describe every ball by the same image.
     """
-    count, images = old.radius.size, old.sector.images
+    before, after = (keys(each, each.first, each.second, each.image) for each in (old, new))
+    place = jnp.minimum(jnp.searchsorted(before, after), before.size - 1)
+    return place, (before[place] == after) & (new.image >= 0)
 
-    def keys(network):
-        first, second, image = (np.asarray(a, np.int64) for a in (network.first, network.second, network.image))
-        return np.where(image >= 0, (first * count + second) * images + image, -1)
 
-    before, after = keys(old), keys(new)
-    order = np.argsort(before)
-    place = order[np.minimum(np.searchsorted(before, after, sorter=order), before.size - 1)]
-    found = (before[place] == after) & (after >= 0)
+def carry(old: Network, new: Network, values: Any) -> Any:
+    """What belongs to the old list's contacts, a pytree of (C,) arrays, at each contact's place in the new list; zero
+    for contacts that the old list does not hold."""
+    place, known = places_in(old, new)
+    return jax.tree.map(lambda part: jnp.where(known, part[place], jnp.zeros((), part.dtype)), values)
 
-    def carried(values):
-        return jnp.asarray(np.asarray(values)[place] * found)
 
-    return tuple(each._replace(contact=jax.tree.map(carried, each.contact)) for each in memory)
+@jax.jit
+def carry_memory(old: Network, new: Network, memory: tuple["Memory", ...]) -> tuple["Memory", ...]:
+    """The terms' memory, with what belongs to contacts carried to a new list."""
+    return tuple(each._replace(contact=carry(old, new, each.contact)) for each in memory)

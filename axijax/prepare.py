@@ -14,7 +14,7 @@ from axijax.params import check_params
 from axijax.paths import Compression, Isotropic, Path, wave_speed
 from axijax.rebuild import roomy_lists
 from axijax.time_step import DEFAULT_STEP, check_step, critical_time_step
-from axijax.update import Grid, grid_for
+from axijax.update import grid_for
 
 if TYPE_CHECKING:
     from axijax.triaxial import TriaxialTest
@@ -26,14 +26,13 @@ class Numerics:
 
     records, record_every: the shear makes so many records and takes so many steps after each.
     refresh: find the membrane's cells again with every record; otherwise they keep their first areas.
-    rebuild_every, grid: rebuild the lists inside jit each time after so many records, by this grid; zero keeps them.
+    rebuild_every: renew the lists inside jit each time after so many records; zero keeps them.
     """
 
     records: int
     record_every: int = 50
     refresh: bool = True
     rebuild_every: int = 0
-    grid: Grid | None = None
 
 
 @jax.tree_util.register_dataclass
@@ -73,6 +72,8 @@ def prepare(test: "TriaxialTest") -> Prepared:
         term.check(sector)
     if cut.zone_rule == "exposure" or test.rebuild_every:
         network, membrane = roomy_lists(cut, sector, test.dtype)
+        if test.rebuild_every:
+            network = replace(network, grid=grid_for(network))
     else:
         network = build_network(cut, sector, dtype=test.dtype)
         membrane = build_membrane(cut, sector, dtype=test.dtype)
@@ -99,7 +100,6 @@ def prepare(test: "TriaxialTest") -> Prepared:
             record_every=test.record_every,
             refresh=test.refresh,
             rebuild_every=test.rebuild_every,
-            grid=grid_for(network) if test.rebuild_every else None,
         ),
     )
 

@@ -140,6 +140,11 @@ def present(tree) -> dict[str, tuple[Quantity, Any]]:
     }
 
 
+def values_of(tree) -> dict[str, Any]:
+    """The value of every parameter of a tree that is there, by name."""
+    return {name: value for name, (_, value) in present(tree).items()}
+
+
 def with_values(tree, values: dict[str, Any]):
     """The tree with parameters or parts replaced by name, wherever in it they are.
 

@@ -282,7 +282,7 @@ def _compacted(loose: Specimen, sector: Sector, params: Params, path: Isotropic)
         void_ratio=_void_ratio(cut, sector, rm, bottom, top),
         core_void_ratio=_void_ratio(cut, sector, rm / 2, middle - 0.3 * height, middle + 0.3 * height),
         **contacts._asdict(),
-        compaction_friction=path.friction or 0.0,
+        compaction_friction=float(path.friction or 0.0),
         unbalanced_force=float(balance.unbalanced_force),
         stress_error=float(balance.stress_error),
         steps=int(balance.steps),

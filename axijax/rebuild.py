@@ -31,6 +31,7 @@ def rebuilt(cut: Specimen, lists: tuple[Network, Membrane], state: State, larges
     new = _list_in(network.slot.shape[0], network.first.size, now, sector, skin, largest_overlap, dtype)
     surface = _membrane_in(membrane.corner.shape[1], membrane.zone.size, now, sector, dtype)
     still = zeros(network.radius.shape, network.dtype)
+    new = replace(new, grid=network.grid)
     return (new, surface), state._replace(displacement=still, memory=carry_memory(network, new, state.memory))
 
 

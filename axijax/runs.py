@@ -34,6 +34,7 @@ from axijax.case import Case, load_case, to_toml
 from axijax.checkpoint import load_progress
 from axijax.curve import SimulationError
 from axijax.progress import Progress, Run
+from axijax.quantity import values_of
 from axijax.results import curves_dataset, save_dataset, save_run, writable_folder, write_whole
 from axijax.specimen_file import NAME, load_specimen, save_specimen
 from axijax.triaxial import TriaxialTest
@@ -231,7 +232,7 @@ def _refuse_to_overwrite(folder: Path) -> None:
 
 def _check_same_parameters(folder: Path, test: TriaxialTest, start: Progress) -> None:
     """A checkpoint goes on with its own parameters; a changed case file would say otherwise."""
-    for name, value in vars(test.params).items():
+    for name, value in values_of(test.params).items():
         if value != getattr(start.params, name):
             raise ValueError(
                 f"result '{folder}': its case.toml says parameters.{name} = {value:g}, but it was run with "

@@ -20,7 +20,8 @@ CONFINE_EVERY = 50  # steps between looks at the balance, and between refreshes 
 
 
 def _ended(stretch: Stretch) -> tuple[State, Confinement]:
-    return stretch.state, Confinement(*stretch.watched, stretch.steps)
+    balance = stretch.watched
+    return stretch.state, Confinement(balance.unbalanced_force, balance.stress_error, stretch.steps)
 
 
 def confine(prepared: Prepared, params: Params) -> tuple[State, Confinement]:
@@ -92,9 +93,8 @@ def simulate(prepared: Prepared, params: Params) -> Curve:
     confined, balance = confine(prepared, params)
     start = start_shear(prepared.scene, params, lists, confined)
     fixed = fixed_load(numerics.refresh, prepared.lateral_load, lists, start)
-    rebuild = (numerics.rebuild_every, numerics.grid) if numerics.grid is not None else None
-    size = numerics.records, numerics.record_every
-    _, seen, status = march(prepared.scene, prepared.shear, *size, rebuild, lists, dt, params, start, fixed)
+    size = numerics.records, numerics.record_every, numerics.rebuild_every
+    _, seen, status = march(prepared.scene, prepared.shear, *size, lists, dt, params, start, fixed)
     settled = balance.worst <= prepared.confinement.tolerance
     status = jnp.bitwise_or.reduce(status) | jnp.where(settled, 0, NOT_CONFINED)
     return make_curve(seen, balance, status)

@@ -1,17 +1,18 @@
-"""Lists that change inside jit: `allocate` makes room on the host, `update` finds the contacts again, `renew` the
-membrane as well.
+"""Lists that change inside jit: `contact_list` gives `allocate`, which makes room on the host, and `update`, which
+finds the contacts again; `renew` the membrane as well.
 
 The search puts every image of every ball into a grid of cells at least as wide as the longest contact and looks round
 each ball in its 27 cells, so that an image is found like any other ball, for any n. Cells and capacities are fixed;
-whatever does not fit, and whatever else went wrong, sets bits in a status code that the caller has to look at.
+whatever does not fit, and whatever else went wrong, sets bits in the list's status, which stick.
 
 Measured (two cores, n = 1, 4, 12; ms): 500 balls 2, 3, 8; 2000 balls 11, 37, 44; 8000 balls 400, 270, 610; the host's
 k-d tree 3 to 12, 19 to 30, 130 to 210. All pairs take 7 to 83 and 250 to 1000, and jax-md's list misses images.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +21,7 @@ from scipy.spatial import QhullError
 
 from axijax.contacts import geometry
 from axijax.membrane import Membrane, membrane_arrays
-from axijax.neighbors import Network, build_network, closing
+from axijax.neighbors import Grid, Network, build_network, carry_memory, closing, keys, places_in
 from axijax.packing import Specimen
 from axijax.sector import Sector
 from axijax.state import State
@@ -29,34 +30,35 @@ from axijax.vector import Vector, zeros
 from axijax.zone import zone_found_again
 
 
-@dataclass(frozen=True)
-class Grid:
-    """Cells of the search: how many along x, y, z, and for how many balls each; static and hashable.
+class ContactListFunctions(NamedTuple):
+    """As jax-md's `NeighborListFns`: `allocate(specimen) -> Network` on the host, where a list gets its room;
+    `update(displacement, network) -> Network` inside jit, where it keeps it. Look at `did_buffer_overflow`."""
 
-    What lies outside goes to the outermost cells, so that a specimen may outgrow the grid until one is full.
-    """
-
-    cells: tuple[int, int, int]
-    capacity: int
+    allocate: Callable[[Specimen], Network]
+    update: Callable[[Vector, Network], Network]
 
 
-def allocate(
-    specimen: Specimen,
+def contact_list(
     sector: Sector,
     skin: float | None = None,
-    room: float = 1.5,
+    capacity_multiplier: float = 1.5,
     largest_overlap: float = 0.05,
     dtype=np.float64,
-) -> tuple[Network, Grid]:
-    """A contact list with room for updates, and the grid to find them with (host).
+) -> ContactListFunctions:
+    """Contact lists of a sector by jax-md's protocol; springs go from one to the next by `axijax.neighbors.carry`.
 
-    room: capacities over what is needed now [-]. The other arguments and errors are those of `build_network`.
+    capacity_multiplier: room over what is needed when the list is allocated [-]. The other arguments, and the errors of
+        `allocate`, are those of `build_network`.
     """
-    tight = build_network(specimen, sector, skin, largest_overlap=largest_overlap, dtype=dtype)
-    width = int(np.ceil(room * tight.slot.shape[0]))
-    contacts = 8 * int(np.ceil(room * tight.first.size / 8))
-    network = build_network(specimen, sector, skin, width, contacts, largest_overlap, dtype)
-    return network, grid_for(network, room)
+
+    def allocate(specimen: Specimen) -> Network:
+        tight = build_network(specimen, sector, skin, largest_overlap=largest_overlap, dtype=dtype)
+        width = int(np.ceil(capacity_multiplier * tight.slot.shape[0]))
+        contacts = 8 * int(np.ceil(capacity_multiplier * tight.first.size / 8))
+        network = build_network(specimen, sector, skin, width, contacts, largest_overlap, dtype)
+        return replace(network, grid=grid_for(network, capacity_multiplier))
+
+    return ContactListFunctions(allocate, update)
 
 
 def grid_for(network: Network, room: float = 1.5) -> Grid:
@@ -69,27 +71,23 @@ def grid_for(network: Network, room: float = 1.5) -> Grid:
     return replace(grid, capacity=int(np.ceil(room * fullest)) + 2)
 
 
-def update(
-    grid: Grid, network: Network, displacement: Vector, memory: Any = None
-) -> tuple[Network, Any, jax.Array]:
-    """The contact list at the present positions, with the memory of the contacts that it shares with the old one.
+def update(displacement: Vector, network: Network) -> Network:
+    """The contact list at the present positions.
 
-    displacement: (N,) vectors from the old list's reference positions, zero for the new list [L]. memory: a pytree of
-    (C,) arrays, such as the contacts' springs. Returns list, memory and status bits: FULL_LIST where slots, contacts or
-    cells did not suffice, STALE_LIST where two balls may have come closer by more than the skin, so that the old list
-    may have missed a contact, NOT_FINITE.
+    displacement: (N,) vectors from the old list's reference positions; those of the new list are the present ones [L].
+    Sets status bits, which stick: FULL_LIST where slots, contacts or cells did not suffice, STALE_LIST where two balls
+    may have come closer by more than the skin, so that the old list may have missed a contact, NOT_FINITE.
 
     A contact that was listed keeps its branch vector and overlap to the last bit, with its tangent; indices have none.
     """
+    assert network.grid is not None, "a list that is updated inside jit comes from `contact_list`"
     positions = network.positions + displacement
-    near, full = _neighbours(grid, network, jax.lax.stop_gradient(positions))
+    near, full = _neighbours(network.grid, network, jax.lax.stop_gradient(positions))
     first, second, image, tables, too_many = _pair_up(network, near)
 
     moved = geometry(network, displacement)
-    old, new = _keys(network, network.first, network.second, network.image), _keys(network, first, second, image)
-    place = jnp.minimum(jnp.searchsorted(old, new), old.size - 1)
+    place, known = places_in(network, replace(network, first=first, second=second, image=image))
     listed = image >= 0
-    known = (old[place] == new) & listed
 
     turn = jnp.maximum(image, 0)
     cosine, sine = _turns(network)
@@ -114,8 +112,7 @@ def update(
     bits = jnp.where(full | too_many, FULL_LIST, 0)
     bits |= jnp.where(closing(network, displacement) > network.skin, STALE_LIST, 0)
     bits |= jnp.where(jnp.isfinite(jnp.asarray(tuple(positions))).all(), 0, NOT_FINITE)
-    memory = jax.tree.map(lambda part: jnp.where(known, part[place], 0.0), memory)
-    made = replace(
+    return replace(
         network,
         first=first,
         second=second,
@@ -132,18 +129,18 @@ def update(
         slot_cos=cosine[turned],
         slot_sin=sine[turned],
         positions=positions,
+        status=network.status | bits,
     )
-    return made, memory, bits
 
 
-def renew(grid: Grid, network: Network, membrane: Membrane, state: State):
-    """Contact list and membrane at the present positions, with the state and status bits that go with them.
+def renew(network: Network, membrane: Membrane, state: State) -> tuple[Network, Membrane, State]:
+    """Contact list and membrane at the present positions, and the state that goes with them.
 
     The membrane's zone is found again and triangulated by SciPy on the host, called from inside jit, in the room that
-    it has; FULL_LIST where that does not suffice, STALE_CELLS where it cannot be triangulated. Nothing of it has a
-    tangent but the areas that are found from it.
+    it has; the list's status has FULL_LIST where that does not suffice, STALE_CELLS where it cannot be triangulated.
+    Nothing of it has a tangent but the areas that are found from it.
     """
-    made, carried, bits = update(grid, network, state.displacement, [each.contact for each in state.memory])
+    made = update(state.displacement, network)
     held = membrane, network.radius, made.positions, state.platens
     membrane, trouble = jax.pure_callback(
         partial(_triangulated, network.sector, network.dtype),
@@ -152,8 +149,8 @@ def renew(grid: Grid, network: Network, membrane: Membrane, state: State):
         vmap_method="sequential",
     )
     still = zeros(network.radius.shape, network.dtype)
-    memory = tuple(each._replace(contact=part) for each, part in zip(state.memory, carried, strict=True))
-    return made, membrane, state._replace(displacement=still, memory=memory), bits | trouble
+    state = state._replace(displacement=still, memory=carry_memory(network, made, state.memory))
+    return replace(made, status=made.status | trouble), membrane, state
 
 
 def _triangulated(sector: Sector, dtype, held) -> tuple[Membrane, np.ndarray]:
@@ -263,15 +260,9 @@ def _pair_up(network: Network, near):
     second = jnp.where(taken, j[row, first], 0).astype(jnp.int32)
     image = jnp.where(taken, k[row, first], -1).astype(jnp.int32)
 
-    wanted = jnp.where(own, _keys(network, i, j, k), _keys(network, j, i, jnp.where(only_second, 0, back)))
-    slot = jnp.searchsorted(_keys(network, first, second, image), wanted)
+    wanted = jnp.where(own, keys(network, i, j, k), keys(network, j, i, jnp.where(only_second, 0, back)))
+    slot = jnp.searchsorted(keys(network, first, second, image), wanted)
     slot = jnp.where(listed, jnp.minimum(slot, length - 1), length - 1).astype(jnp.int32)
     side = jnp.where(listed, jnp.where(own, 1.0, -1.0), 0.0).astype(network.dtype)
     turn = jnp.where(listed & ~own, k, 0)
     return first, second, image, (slot, side, turn), too_many
-
-
-def _keys(network: Network, first, second, image):
-    """One number for each contact (i, j, k), ascending in a list; padding comes last."""
-    key = (first.astype(jnp.int64) * network.radius.size + second) * network.sector.images + image
-    return jnp.where(image >= 0, key, jnp.iinfo(jnp.int64).max)

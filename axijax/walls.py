@@ -24,9 +24,9 @@ class Wall(NamedTuple):
     kept: the share of the spring of the step before that is left before this step's slip [-]; None for all of it.
     """
 
-    stiffness: jax.Array
+    stiffness: jax.Array | float
     viscosity: jax.Array | None
-    shear_stiffness: jax.Array | None = None
+    shear_stiffness: jax.Array | float | None = None
     shear_viscosity: jax.Array | None = None
     kept: jax.Array | None = None
 

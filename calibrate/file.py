@@ -1,11 +1,13 @@
 """A measured file in, a calibrated test out: what `axijax calibrate DATA.csv` calls."""
 
+import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from calibrate.fit import fit_parameters
 from calibrate.gradients import gradient
-from calibrate.measured import MeasuredCurve
+from calibrate.measured import DataError, MeasuredCurve
 from calibrate.model import Model
 from calibrate.parameters import ParameterSet
 from calibrate.result import Fit
@@ -24,18 +26,32 @@ def calibrate_file(
     report: called with each line of text. columns: of MeasuredCurve.from_csv, such as unit="percent", sign=-1.
 
     Raises DataError for data that cannot be used, ValueError for names and strains that make no sense, RunFailed where
-    no start gives a sound run.
+    no start gives a sound run. Warns of data that look wrong; the warnings stand in the fit and in fit.json too.
     """
     curve = MeasuredCurve.from_csv(data, **columns)
+    if curve.last_strain > test.axial_strain:
+        raise DataError(
+            f"{Path(data).name}: '{curve.label}' goes to strain {curve.last_strain:g}, but the test stops at "
+            f"axial_strain = {test.axial_strain:g}: run it farther, or cut the data; if the strains of the file are in "
+            "percent, write [%] behind the name of their column."
+        )
     if curve.stress_ratio.argmax() == len(curve) - 1:
         report(
             f"note: the data still rise at the last point (R = {curve.stress_ratio[-1]:g}, strain "
             f"{curve.last_strain:g}): the peak is not in them, so the friction rests on the rise; look at its interval."
         )
+    volume = curve.volumetric_strain
+    changed = "none" if volume is None else f"{100 * volume.min():.4g} to {100 * volume.max():.4g} %"
+    report(
+        f"read {len(curve)} rows: axial strain {100 * curve.axial_strain[0]:.4g} to {100 * curve.last_strain:.4g} %, "
+        f"stress ratio {curve.stress_ratio.min():.4g} to {curve.stress_ratio.max():.4g}, volumetric strain {changed}"
+    )
     model = Model(test, ParameterSet.of(test.params, names))
+    looked_wrong = curve.warnings + _other_confining_stress(curve, model, Path(data).name)
     output = Path(output)
     output.mkdir(parents=True, exist_ok=True)
     found = fit_parameters(model, curve, names, log=output / "evaluations.jsonl")
+    found = replace(found, warnings=looked_wrong + found.warnings)
     found.save(output / "fit.json")
     found.draw(output / "fit.png")
     report(str(found))
@@ -51,3 +67,14 @@ def calibrate_file(
             )
     report(f"written: {output / 'fit.json'}, {output / 'fit.png'}, {output / 'evaluations.jsonl'}")
     return found
+
+
+def _other_confining_stress(curve: MeasuredCurve, model: Model, file: str) -> tuple[str, ...]:
+    """A warning, given and returned, where the test has another confining stress than the data."""
+    if curve.confining is None or "confining_stress" in model.parameters.names:
+        return ()
+    said = curve.confining.unlike(float(model.simulator.params.confining_stress))
+    if said is None:
+        return ()
+    warnings.warn(f"{file}: {said}", stacklevel=3)
+    return (f"{file}: {said}",)

@@ -3,22 +3,22 @@
 Compression is positive for stress and strain, strains are fractions inside; volumetric strain is the loss of volume.
 """
 
-import csv
-import re
-from dataclasses import dataclass
+import warnings
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 
+from calibrate.columns import read_measured
+from calibrate.doubts import ConfiningStress, doubts
+from calibrate.names import RATIO, STRAIN, VOLUME
+from calibrate.table import DataError
 from calibrate.targets import Datum, HardPeak, _at
 
 UNITS = {"fraction": 1.0, "percent": 0.01}
-_UNIT_MARKS = {"%": "percent", "percent": "percent", "-": "fraction", "1": "fraction", "fraction": "fraction"}
-
-
-class DataError(ValueError):
-    """Measured data that cannot be used; says which number, why and what to do."""
+LOWEST_RATIO, HIGHEST_RATIO = 0.9, 1000.0  # outside no s1/s3 of a compression that begins isotropic can lie
+Q_INSTEAD = "the column holds q = s1 - s3, name it q and give confining_stress too"
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,12 @@ class MeasuredCurve:
     ratio_sigma, volume_sigma: standard uncertainty of each kind of value [-], a number or (M,). They are the weights.
     sigma_known: whether these are real uncertainties; otherwise only their proportion counts and the size of the
         scatter is estimated from the residuals.
-    source: where it comes from.
+    source: where it comes from. confining: the confining stress that the file gives, or None.
+    warnings: what looks wrong in a file that could be read.
 
     Raises DataError for fewer than two points, unsorted or repeated strains, values that are not finite,
-    tension-positive signs, percent taken for fractions, and shapes or uncertainties that make no sense.
+    tension-positive signs, percent taken for fractions, stress ratios that no compression gives, and shapes or
+    uncertainties that make no sense.
     """
 
     axial_strain: np.ndarray
@@ -44,6 +46,8 @@ class MeasuredCurve:
     volume_sigma: float | np.ndarray = 1e-4
     sigma_known: bool = False
     source: str = ""
+    confining: ConfiningStress | None = None
+    warnings: tuple[str, ...] = ()
 
     def __post_init__(self):
         strain = np.atleast_1d(np.asarray(self.axial_strain, float))
@@ -79,8 +83,8 @@ class MeasuredCurve:
         if strain.max() <= 0 < -strain.min() or (ratio < 0).all():
             raise DataError(
                 f"axial_strain runs from {strain[0]:g} to {strain[-1]:g} and stress_ratio from {ratio[0]:g} to "
-                f"{ratio[-1]:g}: the file looks tension-positive; compression must be positive. Change the sign, or "
-                "read it with sign=-1."
+                f"{ratio[-1]:g}: the file looks tension-positive; compression must be positive. Turn the signs "
+                "of strains and stresses in the file."
             )
         steps = np.diff(strain)
         if (steps <= 0).any():
@@ -88,20 +92,42 @@ class MeasuredCurve:
             how = "repeats" if steps[row] == 0 else "falls back to"
             raise DataError(
                 f"axial_strain {how} {strain[row + 1]:g} after {strain[row]:g} in data row {row + 2}: must increase "
-                "from row to row; sort the file, and drop unloading branches."
+                "from row to row; sort the file, drop unloading branches, and keep one test of several."
             )
         if strain[0] < 0:
             raise DataError(
-                f"axial_strain starts at {strain[0]:g}: must start at or above zero, the end of confinement."
+                f"axial_strain starts at {strain[0]:g}: must start at or above zero, the end of confinement; drop the "
+                "rows before it, or subtract what the gauge showed there."
             )
         if strain[-1] >= 0.5:
             raise DataError(
-                f"axial_strain reaches {strain[-1]:g}: must stay below 0.5; is the file in percent (unit='percent')?"
+                f"axial_strain reaches {strain[-1]:g}: must stay below 0.5; is the file in percent? Then write "
+                "[%] behind the name of the column."
             )
         if (ratio <= 0).any():
             row = int(np.flatnonzero(ratio <= 0)[0])
             raise DataError(
-                f"stress_ratio = {ratio[row]:g} in data row {row + 1}: s1/s3 must be positive (1 when isotropic)."
+                f"stress_ratio = {ratio[row]:g} in data row {row + 1}: s1/s3 must be positive (1 when isotropic). If "
+                f"{Q_INSTEAD}."
+            )
+        if ratio.min() < LOWEST_RATIO:
+            row = int(ratio.argmin())
+            raise DataError(
+                f"stress_ratio = {ratio[row]:g} in data row {row + 1}: s1/s3 is 1 when isotropic and rises in "
+                f"compression, here it must stay above {LOWEST_RATIO:g}. If {Q_INSTEAD}; if the two stresses are "
+                "exchanged or in different units, mend that."
+            )
+        if ratio.max() <= 1:
+            row = int(ratio.argmax())
+            raise DataError(
+                f"stress_ratio is {ratio[row]:g} at most, in data row {row + 1}: s1/s3 of a compression must rise "
+                "above 1; are the two stresses exchanged?"
+            )
+        if ratio.max() > HIGHEST_RATIO:
+            row = int(ratio.argmax())
+            raise DataError(
+                f"stress_ratio = {ratio[row]:g} in data row {row + 1}: s1/s3 must stay below {HIGHEST_RATIO:g}; write "
+                "the unit, such as [kPa], behind each stress, where the two have different ones."
             )
 
     def __len__(self) -> int:
@@ -163,105 +189,49 @@ class MeasuredCurve:
         sign: int = 1,
         **uncertainties,
     ) -> "MeasuredCurve":
-        """Read a file with one header row; lines that start with # are comments; comma, semicolon or tab between.
+        """Read a text file: a header row, comma, semicolon or tab between columns, # before a comment line.
 
-        axial_strain, stress_ratio, volumetric_strain: column names, capitals and a unit in brackets apart
-            ("Axial_Strain [%]" is axial_strain in percent). Without the stress ratio's column, the columns
-            axial_stress and confining_stress are divided. The volumetric strain is read where it is named, or where
-            a column volumetric_strain is there.
-        unit: "fraction" or "percent" of the strains; None takes the header's brackets, else fractions.
+        Names are known in many spellings (calibrate.names): axial_strain or eps_a, stress_ratio or s1/s3, or instead
+            axial_stress (Sigma_1) or q with confining_stress (Sigma_3), volumetric_strain (eps_v) where it is there.
+            A unit stands in brackets behind the name or in the row below: [-], [%], [permille], [microstrain], and of
+            stresses [Pa], [kPa], [MPa], [bar], [psi] and so on. "(dilation positive)" behind a name turns its sign.
+        axial_strain, stress_ratio, volumetric_strain: other names of these columns, a unit in brackets apart.
+        unit: "fraction" or "percent" of strains without a unit; None takes fractions.
         sign: -1 for a tension-positive file: strains and stresses change sign, their ratio does not.
         uncertainties: ratio_sigma, volume_sigma, sigma_known of MeasuredCurve.
 
-        Raises DataError, naming file, column, row and value, for what cannot be read, and as MeasuredCurve does.
+        Raises DataError, naming file, column, row and value, for what cannot be read, what contradicts itself and as
+        MeasuredCurve does. Warns of what can be read and looks wrong; `warnings` of the curve holds the same.
         """
         path = Path(path)
         if unit is not None and unit not in UNITS:
             raise DataError(f"unit = {unit!r}: must be 'fraction' or 'percent'.")
         if sign not in (1, -1):
             raise DataError(f"sign = {sign!r}: must be 1 (compression positive) or -1 (tension positive).")
-        columns, units = _read_columns(path)
-
-        def column(name, *, strain=False, optional=False):
-            key = name.strip().lower()
-            if key not in columns:
-                if optional:
-                    return None
-                raise DataError(f"{path.name}: no column '{name}'; it has {', '.join(columns)}. Name the right one.")
-            if not strain:
-                return columns[key]
-            said = units[key]
-            if unit is not None and said is not None and said != unit:
-                raise DataError(
-                    f"{path.name}: column '{name}' is marked in {said}, but unit = {unit!r}; drop one of them."
-                )
-            return sign * columns[key] * UNITS[unit or said or "fraction"]
-
-        strain = column(axial_strain, strain=True)
-        ratio = column(stress_ratio, optional=True)
-        if ratio is None:
-            axial, confining = column("axial_stress", optional=True), column("confining_stress", optional=True)
-            if axial is None or confining is None:
-                column(stress_ratio)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                ratio = axial / confining
-            if (np.sign(axial) != sign).all():
-                raise DataError(
-                    f"{path.name}: axial_stress runs from {axial[0]:g} to {axial[-1]:g}: the file looks "
-                    f"{'tension' if sign == 1 else 'compression'}-positive; read it with sign={-sign}."
-                )
-        volume = column(volumetric_strain or "volumetric_strain", strain=True, optional=volumetric_strain is None)
+        wanted = {STRAIN: axial_strain, RATIO: stress_ratio}
+        wanted = {quantity: name for quantity, name in wanted.items() if name != quantity}
+        if volumetric_strain is not None:
+            wanted[VOLUME] = volumetric_strain
+        with np.errstate(all="ignore"):  # what overflows is not finite, which is refused below
+            read = read_measured(path, wanted, UNITS[unit] if unit else None, sign)
+        confining = None
+        if read.confining_stress is not None:
+            confining = ConfiningStress(float(np.median(read.confining_stress)), read.stress_marked)
         try:
-            return cls(strain, ratio, volume, source=str(path), **uncertainties)
+            curve = cls(
+                read.axial_strain, read.stress_ratio, read.volumetric_strain, source=str(path), confining=confining,
+                **uncertainties,
+            )  # fmt: skip
         except DataError as error:
             raise DataError(f"{path.name}: {error}") from None
-
-
-def _read_columns(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str | None]]:
-    """Columns by lower-case name without brackets, and each one's unit mark."""
-    if not path.is_file():
-        raise DataError(f"{path}: no such file; give the path of a CSV file.")
-    lines = [
-        line
-        for line in path.read_text(encoding="utf-8-sig").splitlines()
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if len(lines) < 2:
-        raise DataError(
-            f"{path.name}: holds {len(lines)} line(s) beside comments; must have a header and at least one row."
-        )
-    separator = max(",;\t", key=lines[0].count)
-    rows = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=separator)]
-    header, rows = rows[0], rows[1:]
-    if all(_is_number(cell) for cell in header):
-        raise DataError(f"{path.name}: the first row holds numbers ({', '.join(header[:3])}); must name the columns.")
-    names, units = [], {}
-    for cell in header:
-        match = re.fullmatch(r"(.*?)\s*[\[(]\s*(.*?)\s*[\])]", cell)
-        name, mark = (match.group(1), match.group(2)) if match else (cell, None)
-        name = name.strip().lower()
-        names.append(name)
-        units[name] = _UNIT_MARKS.get(mark.lower()) if mark else None
-    for number, row in enumerate(rows, 1):
-        if len(row) != len(names):
-            raise DataError(
-                f"{path.name}: data row {number} has {len(row)} cells, the header {len(names)}; they must match."
-            )
-        for name, cell in zip(names, row, strict=True):
-            if not _is_number(cell):
-                raise DataError(
-                    f"{path.name}: {name} = {cell!r} in data row {number}: must be a number with a decimal point."
-                )
-    table = np.array(rows, float)
-    return {name: table[:, place] for place, name in enumerate(names)}, units
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+        found = doubts(curve.axial_strain, curve.stress_ratio, curve.volumetric_strain, read.strain_marked)
+        found += read.doubts
+        if confining is not None and read.confining_stress is not None:
+            found += confining.uneven(read.confining_stress)
+        curve = replace(curve, warnings=tuple(f"{path.name}: {text}" for text in found))
+        for text in curve.warnings:
+            warnings.warn(text, stacklevel=2)
+        return curve
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,7 @@ def test_missing_file_and_a_peak_at_the_last_point(tmp_path):
 
 
 def test_prediction_is_interpolated_and_nan_beyond_the_run():
-    curve = MeasuredCurve([0.001, 0.0025, 0.02], [1.0, 1.0, 1.0])
+    curve = MeasuredCurve([0.001, 0.0025, 0.02], [1.0, 1.5, 1.4])
     found = np.asarray(curve.predict(parabola()))
     assert found[:2] == pytest.approx([2.5 - 2e5 * 0.003**2, 2.5 - 2e5 * 0.0015**2], rel=1e-9)
     assert np.isnan(found[2])

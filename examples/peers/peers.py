@@ -50,6 +50,7 @@ def write_scene(path: Path, test, state, load) -> None:
     if test.sector.order != 1 or np.ptp(test.cut.radius) > 0:
         raise ValueError("peers take the full cylinder (sector order 1) of equal balls.")
     from axijax.dynamics import positions
+    from axijax.quantity import values_of
 
     params = test.params
     np.savez(
@@ -59,9 +60,9 @@ def write_scene(path: Path, test, state, load) -> None:
         platens=np.asarray(state.platens),
         membrane_force=float(params.confining_stress) * np.asarray(load.lateral),
         section=float(load.section),
-        time_step=test.time_step,
-        ramp_time=test.ramp_time,
-        **{name: float(value) for name, value in vars(params).items()},
+        time_step=test.prepared.time_step,
+        ramp_time=test.prepared.shear.ramp_time,
+        **{name: float(value) for name, value in values_of(params).items()},
     )
 
 
