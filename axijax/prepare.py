@@ -1,7 +1,7 @@
 """What a test needs before it can run: contact list, membrane, time step and numbers of steps. As pytrees of arrays."""
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +11,7 @@ from axijax.dynamics import Scene
 from axijax.membrane import Load, Membrane, build_membrane
 from axijax.neighbors import Network, build_network
 from axijax.params import check_params
-from axijax.paths import Compression, Isotropic, Path, wave_speed
+from axijax.paths import Compression, Isotropic, wave_speed
 from axijax.rebuild import roomy_lists
 from axijax.time_step import DEFAULT_STEP, check_step, critical_time_step
 from axijax.update import grid_for
@@ -51,7 +51,7 @@ class Prepared:
     platens: jax.Array
     time_step: jax.Array | float
     confinement: Isotropic
-    shear: Path
+    shear: Compression | Any  # or any other path
     lateral_load: Load | None
     scene: Scene = field(metadata={"static": True})
     numerics: Numerics = field(metadata={"static": True})
