@@ -18,7 +18,7 @@ from axijax.energy import energy_balance, make_ledger_step, open_ledger
 from axijax.membrane import Load
 from axijax.neighbors import build_network, carry_memory
 from axijax.params import check_params
-from axijax.stages import simulate
+from axijax.stages import simulate, start_shear
 from axijax.time_step import critical_time_step
 from axijax.vector import from_rows
 from calibrate import Datum
@@ -147,7 +147,7 @@ def test_a_parameter_of_ones_own_is_known_by_its_name():
 def test_the_critical_step_of_a_stiffening_contact():
     """A deep overlap D makes it 1 + 2 D/doubling times stiffer: omega^2 = 2 k/m of a pair."""
     network, _ = pair(-0.04, 0.0)
-    params = stiffening(0.05, friction=None, damping=None, confining_stress=1e-9)
+    params = stiffening(0.05, friction=None, confining_stress=1e-9)
     expected = 2 / (2 * (1 + 2 * 0.04 / 0.05)) ** 0.5
     assert critical_time_step(Scene(), params, network) == pytest.approx(expected, rel=1e-3)
 
@@ -163,8 +163,9 @@ DEPTH = 0.1 * 0.1 / 2
 @pytest.mark.parametrize("energy", [0.8, 1.2])
 def test_a_bond_holds_what_it_has_energy_for(energy):
     """Two balls that fly apart with so much of the bond's energy: held, or gone with the rest of it."""
-    network, start = pair(0.0, -2 * (energy * DEPTH) ** 0.5)
-    state = jit(after(network, start, 0.01, 400))(bonded(0.1))
+    dt = 0.01
+    network, start = pair(0.0, -2 * (energy * DEPTH) ** 0.5 - 0.1 * dt)  # the speed half a step before
+    state = jit(after(network, start, dt, 400))(bonded(0.1))
     apart = float(state.displacement.x[1] - state.displacement.x[0])
     broken = float(state.memory[3].contact.sum()) == 0
     assert broken == (energy > 1) and (apart > 0.1) == broken
@@ -205,17 +206,22 @@ def test_a_broken_bond_stays_broken_in_a_new_list_and_a_new_contact_has_none():
     assert found == {(0, 1): 1.0, (1, 2): 0.0, (0, 2): 0.0}
 
 
-RISE, RADIUS = 1.0, 20.0
+def test_what_goes_out_with_a_part_is_not_proposed():
+    with pytest.raises(ValueError, match=r"damping_ratio = 0.1: .*would do nothing; there are friction, density"):
+        Params(damping=None, damping_ratio=0.1)
+
+
+TARGET = Datum(page.DilationAt(2e-5), 1e-5, 1e-6)
+RATIO, DOUBLING, PULL = 1.3, 0.2, 1e6
 
 
 @lru_cache
 def whole_test():
-    """A small octagon of bonded, stiffening balls whose platens carry a ratio of stresses, prepared."""
-    params = Params(page.Stiffening(doubling=0.2), terms=(page.Bonds(1e6, 0.01),), friction=0.4, damping_ratio=0.3)
-    test = TriaxialTest(fcc_octagon(RADIUS, 3, 3), params=params, axial_strain=1e-3, tolerance=1e-5)
-    prepared = test.prepared
+    """A small octagon of bonded, stiffening balls whose platens carry a ratio of stresses: parameters, and prepared."""
+    params = Params(page.Stiffening(doubling=DOUBLING), terms=(page.Bonds(PULL, 0.01),), friction=0.4, damping_ratio=0.3)
+    prepared = TriaxialTest(fcc_octagon(layers=3, half_width=3), params=params, tolerance=1e-8).prepared
     numerics = replace(prepared.numerics, records=10)
-    return params, replace(prepared, shear=page.StressRatio(1.3, 5.0, 4.0), numerics=numerics)
+    return params, replace(prepared, shear=page.StressRatio(RATIO, 5.0, 4.0), numerics=numerics)
 
 
 def mean_overlap(params, network, state):
@@ -225,24 +231,65 @@ def mean_overlap(params, network, state):
     return (touching * overlap).sum() / touching.sum()
 
 
-TARGET = Datum(page.DilationAt(2e-5), 1e-5, 1e-6)
-
-
 @lru_cache
 def measured():
-    """Program of (ratio of stresses, factor on doubling, pull): curve, measurement and target, and their tangents."""
+    """Program of (ratio of stresses, factor on doubling, factor on pull) and a direction: curve, measurement and target
+    of a fit, and their derivatives."""
     params, prepared = whole_test()
 
-    def values(ratio, factor):
-        path = replace(prepared.shear, ratio=ratio)
-        here = replace(params, doubling=0.2 * factor, pull=1e6 * factor)
+    def values(at):
+        path = replace(prepared.shear, ratio=RATIO * at[0])
+        here = replace(params, doubling=DOUBLING * at[1], pull=PULL * at[2])
         curve, found = page.simulate_measuring(replace(prepared, shear=path), here, mean_overlap)
         return curve, found, TARGET.predict(curve)
 
-    return jit(lambda ratio, factor, *tangent: jax.jvp(values, (ratio, factor), tangent))
+    return jit(lambda at, along: jax.jvp(values, (at,), (along,)))
 
 
-def test_whole():
-    (curve, found, target), tangent = measured()(1.3, 1.0, 1.0, 0.0)
-    print(curve, found, target, tangent)
-    assert 0
+def test_a_path_of_ones_own_reaches_its_ratio():
+    curve, overlaps, target = measured()(jnp.ones(3), jnp.zeros(3))[0]
+    assert int(curve.status) == 0
+    assert float(curve.stress_ratio[0]) == pytest.approx(1, abs=1e-6)
+    assert float(curve.stress_ratio[-1]) == pytest.approx(RATIO, rel=2e-4)
+    assert 0 < float(curve.axial_strain[-1]) and 1.0 < float(overlaps[-1] / overlaps[0]) < RATIO
+    strains = np.asarray(curve.axial_strain), np.asarray(curve.volumetric_strain)
+    assert float(target[0]) == pytest.approx(np.interp(2e-5, *strains), rel=1e-12)
+
+
+@pytest.mark.parametrize("number", [0, 1, 2], ids=["path", "contact law", "bonds"])
+def test_derivative_of_a_whole_test(number):
+    """Of the strains, of what is recorded besides and of the target of a fit, by a number of each of ones own."""
+    h, along = 1e-3, jnp.eye(3)[number]
+    program = measured()
+
+    def seen(results):
+        curve, overlaps, target = results
+        return [np.asarray(part) for part in (curve.axial_strain, curve.volumetric_strain, overlaps, target)]
+
+    slopes = seen(program(jnp.ones(3), along)[1])
+    up, down = (seen(program(jnp.ones(3) + sign * h * along, along)[0]) for sign in (1, -1))
+    for slope, high, low in zip(slopes, up, down, strict=True):
+        difference = (high - low) / (2 * h)
+        np.testing.assert_allclose(slope, difference, rtol=0, atol=2e-4 * np.abs(difference).max())
+        assert np.abs(difference).max() > 0
+
+
+def test_simulate_takes_the_path():
+    """The same curve with what is recorded besides as without."""
+    params, prepared = whole_test()
+    plain = jit(simulate.__wrapped__)(prepared, params)
+    beside = measured()(jnp.ones(3), jnp.zeros(3))[0][0]
+    np.testing.assert_allclose(plain.axial_strain, beside.axial_strain, atol=1e-12)
+    np.testing.assert_allclose(plain.stress_ratio, beside.stress_ratio, atol=1e-9)
+
+
+def test_what_a_term_carries_survives_confinement():
+    """A bond that broke in confinement is broken in the shear; springs that were not there start from nothing."""
+    params, prepared = whole_test()
+    confining = prepared.confinement.params(params, *prepared.lists, prepared.platens)
+    state = initial_state(Scene(rotation=False), confining, prepared.network, prepared.platens)
+    broken = state.memory[3].contact.at[0].set(0.0)
+    confined = state._replace(memory=(*state.memory[:3], state.memory[3]._replace(contact=broken)))
+    start = start_shear(prepared.scene, params, prepared.lists, confined)
+    np.testing.assert_array_equal(start.memory[3].contact, broken)
+    assert state.spring is None and not np.asarray(start.spring).any()
