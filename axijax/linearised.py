@@ -168,13 +168,18 @@ def _pressed(params: Params, network: Network, touching_within: float, squeeze: 
     overlap = np.where(closed, depth, overlap)
 
     wall = params.material.wall_law(network)
+
+    @jax.jit
+    def wall_force(depth):
+        return wall.at(-depth).stiffness * depth
+
     found = plates(network, touching_within)
     wanted = np.zeros((len(found), radius.size))  # how far along the plate's normal its balls must go
     for row, plate in zip(wanted, found, strict=True):
         if squeeze is None:
             share = np.asarray(network.weight)[plate.balls].sum()
             load = OVERLOAD * float(stress) * plate.area / max(share, 1e-3)
-            depth = _overlap_at(lambda depth: wall.at(-depth).stiffness * depth, load, radius)
+            depth = _overlap_at(wall_force, load, radius)
             depth = np.maximum(depth, -plate.gap)
         else:
             depth = squeeze * radius

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 class Material:
     """Parts that every material has; frictional balls with dashpots in their contacts by default.
 
-    A subclass, from outside the package too, adds its own parameters with `quantity` and defines the methods below;
+    A subclass, from outside the package too, adds its own parameters with `quantity` and defines the methods below, of
+    which `stiffest` only saves time and `stiffness_over` serves fits of stiffnesses alone;
     `jax.tree_util.register_dataclass` makes it a pytree.
     """
 

@@ -77,7 +77,7 @@ def start_shear(scene: Scene, params: Params, lists: Lists, confined: State) -> 
     springs of a frictional one, and what it did not have there starts from nothing."""
     rest = initial_state(scene, params, lists[0], confined.platens)
     memory = tuple(
-        kept if jax.tree.structure(kept) == jax.tree.structure(new) else new
+        kept if len(jax.tree.leaves(kept)) == len(jax.tree.leaves(new)) else new
         for kept, new in zip(confined.memory, rest.memory, strict=True)
     )
     return rest._replace(displacement=confined.displacement, memory=memory)

@@ -103,7 +103,7 @@ class Untold(Linear):
         return None
 
 
-@pytest.mark.parametrize("name", ["quarter", "strong dashpots, soft shear", "rough platens"])
+@pytest.mark.parametrize("name", ["strong dashpots, soft shear", "rough platens"])
 def test_the_step_of_a_material_that_does_not_say_how_stiff_it_is(name):
     """Under the load to come, whose share in the stiffness is that of the overlap in the radius."""
     network, scene, params = SCENES[name]
@@ -158,7 +158,7 @@ def test_rough_platens_shorten_the_step_of_a_ball_between_them():
     )  # fmt: skip
     for step in (critical_time_step, by_forces):
         assert step(Scene(), params, lone_ball()) == pytest.approx(2 / 3.5**0.5, rel=1e-9)
-        assert step(Scene(), replace(params, platen_friction=None), lone_ball()) == pytest.approx(2.0, rel=1e-9)
+    assert critical_time_step(Scene(), replace(params, platen_friction=None), lone_ball()) == pytest.approx(2, rel=1e-9)
 
 
 def test_a_spring_that_rests_has_its_whole_stiffness_whatever_its_limit():
