@@ -98,5 +98,3 @@ def simulate(prepared: Prepared, params: Params) -> Curve:
     settled = balance.worst <= prepared.confinement.tolerance
     status = jnp.bitwise_or.reduce(status) | jnp.where(settled, 0, NOT_CONFINED)
     return make_curve(seen, balance, status)
-
-
