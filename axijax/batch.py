@@ -6,8 +6,10 @@
     open_batch("sweep").stress_ratio                  # (member, record)
 
 On a CPU every core takes the next test and runs it by itself (compiled programs run outside Python's lock, so threads
-are parallel on one CPU device). On a GPU tests of equal shape run together, by `jax.vmap`. Where `jax.distributed` has
-been initialised, its processes deal the members out among them and write into one folder.
+are parallel on one CPU device). A process that has used JAX must not be forked: JAX's threads do not survive it, and
+the child hangs; where there must be processes, `multiprocessing.get_context("spawn")` makes them. On a GPU tests of
+equal shape run together, by `jax.vmap`. Where `jax.distributed` has been initialised, its processes deal the members
+out among them and write into one folder.
 """
 
 import itertools
@@ -25,12 +27,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from axijax.batch_files import Stored, open_batch, read_member, slug, write_failure, write_member, write_summary
+from axijax.batch_files import (
+    Stored,
+    open_batch,
+    open_folder,
+    read_member,
+    slug,
+    write_failure,
+    write_member,
+    write_summary,
+)
 from axijax.curve import RECORDS, Curve, warn_of_chatter
 from axijax.params import Params, check_params
 from axijax.progress import Progress
 from axijax.quantity import declared, parts_of, values_of
-from axijax.results import writable_folder
 from axijax.stages import simulate
 from axijax.time_step import check_step, critical_time_step
 from axijax.triaxial import TriaxialTest
@@ -154,7 +164,7 @@ def run_batch(
         raise ValueError(f"strategy = {strategy!r}: must be 'auto', 'threads' or 'vmap'.")
     if strategy == "auto":
         strategy = "threads" if jax.default_backend() == "cpu" else "vmap"
-    store = None if folder is None else writable_folder(Path(folder))
+    store = None if folder is None else open_folder(Path(folder))
     mine = chosen[jax.process_index() :: jax.process_count()]
     lock, stop = threading.Lock(), threading.Event()
     outcomes: dict[str, Outcome] = {}

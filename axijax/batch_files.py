@@ -1,25 +1,24 @@
 """The folder of a batch: one NetCDF file a member, written whole, and a table of them all.
 
-A file carries a hash of the test, the parameters and the versions that it came from, by which a batch that is run again
-knows what is done. Nothing else is kept about a batch, so any number of processes may fill one folder.
+A file carries the fingerprint of the test, the parameters and the versions that it came from, by which a batch that is
+run again knows what is done. Nothing else is kept about a batch, so any number of processes may fill one folder.
 """
 
-import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
-from importlib.metadata import version
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import jax
 import numpy as np
 
-from axijax.curve import RECORDS, Confinement, Curve
+from axijax.curve import RECORDS, Confinement, Curve, find_peak
+from axijax.fingerprint import differences, fingerprint, versions
+from axijax.folder import remove_leftovers, writable_folder, write_whole
 from axijax.params import Params
 from axijax.quantity import values_of
-from axijax.results import curves_dataset, save_dataset, save_table, write_whole
+from axijax.results import curves_dataset, save_dataset, save_table
 from axijax.triaxial import TriaxialTest
 
 if TYPE_CHECKING:
@@ -27,7 +26,9 @@ if TYPE_CHECKING:
 
 MEMBERS = "members"  # the folder of the members' files
 FAILED = ".failed.json"
-PEAK = ("peak_ratio", "core_ratio_at_peak", "virial_ratio_at_peak", "axial_strain_at_peak")
+SUMMARY = "summary.csv"
+READ_ERRORS = (OSError, TypeError, ValueError, KeyError, IndexError, AttributeError, EOFError, MemoryError)
+PEAK = ("peak_ratio", "core_ratio_at_peak", "virial_ratio_at_peak", "axial_strain_at_peak", "peak_reached")
 
 
 @dataclass(frozen=True)
@@ -45,19 +46,20 @@ class Stored:
         """Its curve with dimension record, and everything else as scalar coordinates and attributes."""
         assert self.curve is not None
         curve = self.curve
-        peak = int(np.argmax(np.asarray(curve.stress_ratio)))
-        at_peak = [
-            float(getattr(curve, n)[peak]) for n in ("stress_ratio", "core_ratio", "virial_ratio", "axial_strain")
+        peak = find_peak(curve.axial_strain, curve.stress_ratio)
+        at_peak: list[float | bool] = [
+            float(getattr(curve, n)[peak.record])
+            for n in ("stress_ratio", "core_ratio", "virial_ratio", "axial_strain")
         ]
+        at_peak.append(peak.reached)
         scalars = {name: float(value) for name, value in values_of(self.params).items() if np.ndim(value) == 0}
         # A label says what was asked for; a parameter of the same name is the same number.
         about = scalars | self.labels | dict(zip(PEAK, at_peak, strict=True)) | {"seconds": self.seconds}
         attributes = {
-            "key": key(self.test, self.params),
+            "identity": json.dumps(identity(self.test, self.params)),
             "labels": json.dumps(list(self.labels)),
             "confinement": json.dumps([float(value) for value in curve.confinement]),
-            "axijax": version("axijax"),
-            "jax": jax.__version__,
+            **versions(),
         }
         data = curves_dataset({self.name: curve}, {name: [value] for name, value in about.items()}, attributes)
         return data.rename(run="member")
@@ -85,6 +87,20 @@ def joined(datasets: Sequence["xarray.Dataset"]) -> "xarray.Dataset":
     return xarray.concat(padded, dim="member", join="outer", combine_attrs="drop_conflicts")
 
 
+def open_folder(folder: Path) -> Path:
+    """Make a batch's folder where there is none. Raises ValueError where it cannot be written, or where it holds a
+    summary.csv that no batch wrote.
+    """
+    remove_leftovers(writable_folder(folder) / MEMBERS)
+    summary = folder / SUMMARY
+    if summary.exists():
+        with open(summary, errors="replace") as file:
+            ours = file.readline().startswith("member,")
+        if not ours:
+            raise ValueError(f"output folder '{folder}' holds a {SUMMARY} that no batch wrote: choose another folder.")
+    return folder
+
+
 def open_batch(folder: Path | str) -> "xarray.Dataset":
     """All finished members of a batch's folder, sorted by name: curves over (member, record), labels, parameters and
     peaks over (member,). Raises ValueError where there are none.
@@ -101,10 +117,11 @@ def read_member(folder: Path, wanted: Stored) -> Stored | None:
     if not file.exists():
         return None
     data = _load(file)
-    if data.attrs.get("key") != key(wanted.test, wanted.params):
+    other = differences(identity(wanted.test, wanted.params), _identity_in(file, data))
+    if other:
         raise ValueError(
-            f"member '{wanted.name}': '{file}' is of another test, other parameters or another version (axijax "
-            f"{data.attrs.get('axijax')}, jax {data.attrs.get('jax')}): choose another folder, or delete it."
+            f"member '{wanted.name}': '{file}' is of another test or other parameters: it differs in {other}; choose "
+            "another folder, or delete it."
         )
     unbalanced, stress_error, steps = json.loads(data.attrs["confinement"])
     records: dict[str, Any] = {name: data[name].values[0] for name in RECORDS} | {"status": np.int32(0)}
@@ -145,7 +162,7 @@ def write_summary(folder: Path) -> None:
             rows.append({"member": str(data.member.values[0]), **values})
         rows += [json.loads(file.read_text()) for file in failed]
         columns = ("member", *names, *PEAK, "seconds", "failure")
-        save_table(folder / "summary.csv", columns, [dict.fromkeys(columns) | row for row in rows])
+        save_table(folder / SUMMARY, columns, [dict.fromkeys(columns) | row for row in rows])
         if (files, failed) == (_files(folder), sorted((folder / MEMBERS).glob(f"[!.]*{FAILED}"))):
             return
 
@@ -155,32 +172,16 @@ def slug(name: str) -> str:
     return re.sub(r"[^\w+.=-]+", "_", name).strip("._") or "member"
 
 
-def key(test: TriaxialTest, params: Params) -> str:
-    """A hash of all that decides a curve: the test, the parameters, the versions of axijax and jax."""
-    digest = hashlib.sha256(f"{version('axijax')} {jax.__version__}".encode())
-    _feed(digest, (test, params))
-    return digest.hexdigest()
+def identity(test: TriaxialTest, params: Params) -> dict[str, str]:
+    """All that decides a curve: the test, the parameters of this member, the versions of axijax and jax."""
+    return {**versions(), **fingerprint(test), **fingerprint(params, "parameters")}
 
 
-def _feed(digest, value) -> None:
-    """Add a value and its type's name to a hash; of a dataclass the fields that it is made from."""
-    if is_dataclass(value) and not isinstance(value, type):
-        _feed(digest, [type(value).__name__, {f.name: getattr(value, f.name) for f in fields(value) if f.init}])
-    elif isinstance(value, str | bool | type | None):
-        digest.update(f"{value!r};".encode())
-    elif isinstance(value, int | float | np.ndarray | np.generic | jax.Array):
-        array = np.asarray(value)
-        # 1, 1.0 and jnp.float64(1) are one number.
-        array = array.astype(float) if array.ndim == 0 else array
-        digest.update(f"{array.dtype.str}{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
-    elif isinstance(value, Mapping):
-        _feed(digest, [part for item in value.items() for part in item])
-    elif isinstance(value, list | tuple):
-        digest.update(f"{type(value).__name__}[{len(value)}".encode())
-        for part in value:
-            _feed(digest, part)
-    else:
-        raise TypeError(f"a test with a {type(value).__name__} in it cannot be recognised again: leave out the folder.")
+def _identity_in(file: Path, data: "xarray.Dataset") -> Any:
+    try:
+        return json.loads(data.attrs["identity"])
+    except (KeyError, TypeError, ValueError, RecursionError):
+        raise ValueError(f"'{file}' is damaged, or a member that another version wrote: delete it.") from None
 
 
 def _file(folder: Path, name: str) -> Path:
@@ -196,6 +197,13 @@ def _load(file: Path) -> "xarray.Dataset":
     import xarray
 
     try:
-        return xarray.load_dataset(file, engine="scipy")
-    except (OSError, TypeError, ValueError, KeyError) as error:
-        raise ValueError(f"'{file}' is damaged or no member of a batch ({error}): delete it.") from None
+        data = xarray.load_dataset(file, engine="scipy")
+        sound = all(data[name].dims == ("member", "record") for name in RECORDS) and data.sizes["member"] == 1
+        labels, confinement = (json.loads(data.attrs[name]) for name in ("labels", "confinement"))
+        sound = sound and all(data[name].dims == ("member",) for name in (*labels, *PEAK, "seconds"))
+        sound = sound and len(confinement) == len(Confinement._fields) and np.isfinite(confinement).all()
+    except READ_ERRORS:
+        sound = False
+    if not sound:
+        raise ValueError(f"'{file}' is damaged, or no member of a batch of this version of axijax: delete it.")
+    return data

@@ -17,11 +17,9 @@ Names, defaults and descriptions of the fields are those of `Sector`, `TriaxialT
 they exist once.
 """
 
-import difflib
 import inspect
 import re
 import textwrap
-import tomllib
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_hints
@@ -29,11 +27,19 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_h
 from pydantic import BaseModel, Field, ValidationError, create_model, model_serializer, model_validator
 
 from axijax.case_parts import ParametersCase, SceneCase, Section, bounds, build_params, check_used
+from axijax.case_reading import nearest, read_toml, sentence
 from axijax.packing import Specimen, fcc_cylinder, fcc_octagon, lattice_cylinder
 from axijax.params import Params
 from axijax.quantity import settings
 from axijax.sector import Sector
 from axijax.triaxial import TriaxialTest
+
+# Sizes of numbers other than zero in whatever units: products of them stay far from the limits of a float.
+LEAST, MOST = 1e-30, 1e30
+
+# Balls of the full cylinder that a case may ask for, fifty times as many as were tested. 34 000 in one sector take a
+# minute and a half before their first step.
+MOST_BALLS = 200_000
 
 # The fields that a kind of specimen takes, and the orders of sector that fit it.
 KINDS: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
@@ -77,11 +83,13 @@ class SpecimenCase(Section):
         description="packing: FCC of octagonal section (the paper's), a circular cylinder of a lattice, random",
     )
     radius: float = Field(20.0, gt=0, description="ball radius [L]")
-    layers: int = Field(25, ge=1, description="number of horizontal layers [-]")
-    half_width: int = Field(9, ge=3, description="half width of the octagon in ball radii, odd [-]")
+    layers: int = Field(25, ge=1, le=10_000, description="number of horizontal layers [-]")
+    half_width: int = Field(9, ge=3, le=1_001, description="half width of the octagon in ball radii, odd [-]")
     specimen_radius: float = Field(200.0, gt=0, description="radius of the cylinder that holds the balls [L]")
 
-    balls: int = Field(400, ge=10, description="balls in the full cylinder, a multiple of the sector's order [-]")
+    balls: int = Field(
+        400, ge=10, le=MOST_BALLS, description="balls in the full cylinder, a multiple of the sector's order [-]"
+    )
     smallest_radius: float = Field(16.0, gt=0, description="smallest ball radius; radii are spread evenly [L]")
     largest_radius: float = Field(24.0, gt=0, description="largest ball radius [L]")
     grading: str | None = Field(
@@ -101,13 +109,27 @@ class SpecimenCase(Section):
         gt=0,
         description="void ratio sought in place of compaction_friction, to 0.005, in up to twelve compactions [-]",
     )
-    seed: int = Field(0, ge=0, description="of the random numbers [-]")
+    seed: int = Field(0, ge=0, lt=2**63, description="of the random numbers [-]")
 
     @model_validator(mode="after")
     def _takes(self) -> "SpecimenCase":
         taken = KINDS[self.kind][0]
         for name in self.model_fields_set - {"kind", *taken}:
             raise ValueError(f"{name} does not belong to kind = '{self.kind}', which takes {', '.join(taken)}")
+        return self
+
+    @model_validator(mode="after")
+    def _of_so_many_balls(self) -> "SpecimenCase":
+        if self.kind == "octagon":
+            across, fields = 0.83 * self.half_width**2, "half_width"
+        else:
+            ratio = self.specimen_radius / self.radius  # a power would raise OverflowError where a product is infinite
+            across, fields = 0.91 * ratio * ratio, "specimen_radius, or a larger radius"
+        if self.kind != "random" and across * self.layers > MOST_BALLS:
+            raise ValueError(
+                f"kind = '{self.kind}' of {self.layers} layers would hold some {across * self.layers:.2g} balls: at "
+                f"most {MOST_BALLS:,} are allowed; take fewer layers or a smaller {fields}"
+            )
         return self
 
     @model_serializer(mode="wrap")
@@ -174,6 +196,10 @@ class Case(Section):
 
         Raises ValueError where the fields do not fit one another; RuntimeError where a random one does not settle.
         """
+        for section, values in self:
+            for name, value in values:
+                if isinstance(value, float) and value != 0 and not LEAST <= abs(value) <= MOST:
+                    raise ValueError(f"{section}.{name} = {value:g}: must lie between {LEAST:g} and {MOST:g} in size.")
         if self.specimen.kind != "random":
             return self, self.specimen.build(), None
         wanted = {"normal_stiffness", "shear_stiffness", "confining_stress", "density", "damping_ratio"}
@@ -230,7 +256,7 @@ def default_case(kind: str = "octagon") -> Case:
     Raises ValueError for an unknown kind.
     """
     if kind not in KINDS:
-        near = _nearest(kind, KINDS)
+        near = nearest(kind, KINDS)
         raise ValueError(f"kind = '{kind}': must be one of {', '.join(KINDS)}{f'; {near}' if near else '.'}")
     sections: dict[str, Any] = {"specimen": {"kind": kind}}
     if kind == "random":
@@ -307,51 +333,16 @@ def load_case(path: Path | str) -> Case:
     return make_case(read_toml(path), str(path))
 
 
-def read_toml(path: Path | str) -> dict:
-    """What a TOML file holds. Raises ValueError where it cannot be read."""
-    try:
-        with open(path, "rb") as file:
-            return tomllib.load(file)
-    except OSError as error:
-        raise ValueError(f"case file '{path}' cannot be read: {error.strerror}.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"case file '{path}' is not valid TOML: {error}.") from None
-
-
 def make_case(data: dict, source: str) -> Case:
     """A case from what a file called `source` holds. Raises ValueError like `load_case`."""
     specimen = data.get("specimen")
     if isinstance(specimen, dict) and isinstance(specimen.get("grading"), str):  # beside the case file
         data = data | {"specimen": specimen | {"grading": str(Path(source).absolute().parent / specimen["grading"])}}
+        if "\0" in specimen["grading"]:
+            raise ValueError(f"case file '{source}': specimen.grading holds a zero byte: it must name a file.")
+    known = {name: model for name, (model, _) in SECTIONS.items()}
     try:
         return Case.model_validate(data)
     except ValidationError as error:
-        told = "; ".join(map(_sentence, error.errors()))
+        told = "; ".join(sentence(problem, known) for problem in error.errors())
         raise ValueError(f"case file '{source}': {told}{'' if told.endswith('?') else '.'}") from None
-
-
-def _sentence(problem) -> str:
-    where, given = ".".join(str(part) for part in problem["loc"]), problem["input"]
-    if problem["type"] == "extra_forbidden":
-        *section, name = problem["loc"]
-        known = list(SECTIONS[str(section[0])][0].model_fields if section else SECTIONS)
-        elsewhere = [f"[{other}]" for other, (model, _) in SECTIONS.items() if name in model.model_fields]
-        near = _nearest(str(name), known)
-        hint = f"it belongs to {' or '.join(elsewhere)}" if elsewhere else near or f"known are {', '.join(known)}"
-        return f"'{where}' is not a {'field' if section else 'section'}; {hint}"
-    if problem["type"] == "value_error":
-        return f"{where}{'.' if where else ''}{problem['ctx']['error']}"
-    if problem["type"] == "model_type":
-        return f"{where} = {given!r}: must be a section, [{where}], with its fields below"
-    told = problem["msg"].replace("Input should be", "must be")
-    for theirs, ours in (("boolean", "true or false"), ("integer", "a whole number"), ("number", "a number")):
-        told = told.replace(f"a valid {theirs}", ours)
-    if problem["type"] == "literal_error":
-        near = _nearest(str(given), re.findall(r"'([^']*)'", problem["ctx"]["expected"]))
-        told += f"; {near}" if near else ""
-    return f"{where} = {str(given).lower() if isinstance(given, bool) else repr(given)}: {told}"
-
-
-def _nearest(name: str, known) -> str:
-    near = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean '{near[0]}'?" if near else ""

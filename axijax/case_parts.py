@@ -17,7 +17,7 @@ from axijax.hertz import Hertz
 from axijax.linear import Linear
 from axijax.material import Material
 from axijax.params import Params
-from axijax.quantity import Quantity, declared
+from axijax.quantity import Quantity, declared, optional_parts
 
 MATERIALS: dict[str, type[Material]] = {"linear": Linear, "hertz": Hertz}
 DAMPINGS: dict[str, type[Damping] | None] = {
@@ -53,7 +53,10 @@ class SceneCase(Section):
     def takes(self) -> dict[str, Quantity]:
         """The parameters that do something in this scene, by name."""
         found = {name: about for part in self.parts() for name, about in declared(part).items()}
-        return {name: about for name, about in found.items() if self.friction or name != "friction"}
+        if self.friction:
+            return found | _optional(MATERIALS[self.contact_law])
+        found.pop("friction")
+        return found
 
     def build(self) -> Scene:
         return Scene(rotation=self.rotation)
@@ -61,8 +64,14 @@ class SceneCase(Section):
 
 def bounds(about: Quantity) -> dict[str, float]:
     """What pydantic is to allow."""
-    rules = {"ge": about.least if about.least > about.above else -np.inf, "gt": about.above, "lt": about.below}
+    least = about.least if about.least > about.above else -np.inf
+    rules = {"ge": least, "gt": about.above, "lt": about.below, "le": about.most}
     return {rule: bound for rule, bound in rules.items() if np.isfinite(bound)}
+
+
+def _optional(material: type) -> dict[str, Quantity]:
+    """The parameters of parts that are there only where one of their parameters is given."""
+    return {name: about for part in optional_parts(material).values() for name, about in declared(part).items()}
 
 
 def _parameters() -> dict[str, Any]:
@@ -73,6 +82,9 @@ def _parameters() -> dict[str, Any]:
             kind = float if default is not None else float | None
             told: Any = {"description": about.description, "allow_inf_nan": about.infinite, **bounds(about)}
             made[name] = kind, Field(default, **told)
+    for name, about in _optional(Linear).items():
+        told = {"description": f"{about.description}; left out with its like: no such resistance", **bounds(about)}
+        made[name] = float | None, Field(None, **told)
     return made
 
 

@@ -8,10 +8,7 @@ The file is a NumPy .npz archive of every array under its name in `triaxial.Prog
 program versions, and what the test was. A checkpoint fits one test only, up to the axial strain where it stops.
 """
 
-import hashlib
 import json
-import zipfile
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +16,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from axijax.checkpoint_arrays import what_is_wrong
 from axijax.curve import Confinement, no_records
 from axijax.dynamics import initial_state
+from axijax.fingerprint import differences, fingerprint, versions
+from axijax.folder import write_whole
 from axijax.membrane import Load
+from axijax.npz import read_npz
+from axijax.params import check_params
 from axijax.progress import Progress
-from axijax.results import write_whole
+from axijax.quantity import parts_of
 from axijax.triaxial import TriaxialTest
 
 FORMAT = "axijax shear in progress"
-VERSION = 2
+VERSION = 3
 
 
 def save_progress(path: Path, test: TriaxialTest, progress: Progress) -> None:
@@ -36,8 +38,7 @@ def save_progress(path: Path, test: TriaxialTest, progress: Progress) -> None:
     header = {
         "format": FORMAT,
         "version": VERSION,
-        "axijax": _version("axijax"),
-        "jax": jax.__version__,
+        **versions(),
         "test": _description(test),
         # Python numbers promote differently from arrays, so they come back as what they were.
         "numbers": [name for name, leaf in leaves.items() if isinstance(leaf, int | float)],
@@ -60,36 +61,33 @@ def load_progress(path: Path, test: TriaxialTest) -> Progress:
     """
     path = Path(path)
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}  # the archive checks a checksum of each
+        arrays = read_npz(path)
         header = json.loads(str(arrays.pop("header")[()]))
         known = header["format"] == FORMAT
     except OSError as error:
-        if isinstance(error, FileNotFoundError | PermissionError | IsADirectoryError):
-            raise ValueError(f"checkpoint '{path}' cannot be read ({error.strerror}).") from None
-        known = False
-    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError):
+        raise ValueError(f"checkpoint '{path}' cannot be read ({error.strerror}).") from None
+    except (ValueError, KeyError, TypeError, IndexError, RecursionError):
         known = False
     if not known:
         raise ValueError(f"checkpoint '{path}' is damaged or no checkpoint of axijax: start again without it.")
     if header.get("version") != VERSION:
         raise ValueError(
-            f"checkpoint '{path}' has format version {header.get('version')}, this program reads {VERSION}: start "
-            "again without it."
+            f"checkpoint '{path}' has format version {str(header.get('version'))[:20]}, this program reads {VERSION}: "
+            "start again without it."
         )
-    ours, theirs = _description(test), header.get("test", {})
-    other = [name for name in ours if ours[name] != theirs.get(name)]
+    other = differences(_description(test), header.get("test"))
     if other:
         raise ValueError(
-            f"checkpoint '{path}' is of another test: its {' and '.join(other)} differ; use the test that wrote it "
-            "(only axial_strain may change)."
+            f"checkpoint '{path}' is of another test: it differs in {other}; use the test that wrote it (only "
+            "axial_strain may change)."
         )
-    numbers = set(header.get("numbers", ()))
+    numbers = header.get("numbers")
     template = _template(test, fixed="fixed.lateral" in arrays)
-    names = [name for name, _ in _named(template)]
-    if set(names) != set(arrays):
-        wrong = sorted(set(names) ^ set(arrays))[0]
-        raise ValueError(f"checkpoint '{path}' is damaged: '{wrong}' is missing or unknown; start again without it.")
+    own = dict(_named(template))
+    wrong = "".join(f"'{name[:60]}' is missing or unknown" for name in sorted(set(own) ^ set(arrays))[:1])
+    wrong = wrong or what_is_wrong(arrays, own, numbers, len(test.cut), test.record_every)
+    if wrong:
+        raise ValueError(f"checkpoint '{path}' is damaged: {wrong}; start again without it.")
 
     def restored(name):
         array = arrays[name]
@@ -97,7 +95,12 @@ def load_progress(path: Path, test: TriaxialTest) -> Progress:
             return array.item()
         return array if name.startswith("records.") else jnp.asarray(array)
 
-    return jax.tree.unflatten(jax.tree.structure(template), [restored(name) for name in names])
+    progress = jax.tree.unflatten(jax.tree.structure(template), [restored(name) for name in own])
+    try:
+        check_params(progress.params, len(test.cut))
+    except ValueError as error:
+        raise ValueError(f"checkpoint '{path}' is damaged: {str(error).rstrip('.')}; start again without it.") from None
+    return progress
 
 
 def _named(tree) -> list[tuple[str, object]]:
@@ -120,25 +123,8 @@ def _template(test: TriaxialTest, fixed: bool) -> Progress:
     )
 
 
-def _description(test: TriaxialTest) -> dict[str, object]:
-    """All that decides how a shear goes on, but for where it stops and what the progress itself holds."""
-    digest = hashlib.sha256()
-    for array in (test.cut.positions, test.cut.radius, test.cut.membrane_zone):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return {
-        "specimen": digest.hexdigest(),
-        "sector": repr(test.sector),
-        "scene": repr(test.scene),
-        "time_step": test.prepared.time_step,
-        "ramp_time": test.prepared.shear.ramp_time,
-        "record_every": test.record_every,
-        "refresh": test.refresh,
-        "lateral_load": test.lateral_load is not None,
-    }
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "unknown"
+def _description(test: TriaxialTest) -> dict[str, str]:
+    """All that decides how a shear goes on, but for where it stops and the parameters, which the progress holds."""
+    parts = fingerprint(test)
+    held = {name: part for name, part in parts.items() if name.split(".")[0] not in ("axial_strain", "params")}
+    return held | {"params": ", ".join(type(part).__name__ for part in parts_of(test.params))}

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from axijax.curve import CHATTER
+from axijax.curve import CHATTER, Peak, find_peak
 from axijax.engine import STALE
 from axijax.observe import in_core
 from axijax.results import Result
@@ -67,9 +67,10 @@ def _at_most(name: str, value, limit: float, meaning: str) -> Check:
 
 def _curve_checks(result: Result) -> list[Check]:
     curve = result.curve
-    peak = int(curve.stress_ratio.values.argmax())
-    at_peak = curve.isel(record=peak)
-    checks = []
+    peak = find_peak(curve.axial_strain.values, curve.stress_ratio.values)
+    at_peak = curve.isel(record=peak.record)
+    place = "the peak" if peak.reached else "the largest stress ratio"
+    checks = [_peak_check(peak)]
     try:
         test: TriaxialTest | None = result.test
     except ValueError:  # only curves were kept
@@ -89,19 +90,19 @@ def _curve_checks(result: Result) -> list[Check]:
     platen, virial, core = (float(at_peak[name]) for name in ("stress_ratio", "virial_ratio", "core_ratio"))
     checks += [
         _at_most(
-            "unbalanced force around the peak", np.median(curve.unbalanced_force.values[max(0, peak - 10) : peak + 11]),
-            UNBALANCED,
+            f"unbalanced force around {place}",
+            np.median(curve.unbalanced_force.values[max(0, peak.record - 10) : peak.record + 11]), UNBALANCED,
             "mean resultant on a ball over the mean contact force, median of 21 records (single ones jump where balls "
             "rearrange): above a hundredth the test is not quasi-static",
         ),
         _at_most(
-            "platen against virial stress ratio at the peak", abs(platen / virial - 1),
+            f"platen against virial stress ratio at {place}", abs(platen / virial - 1),
             _radius_limit(test, float(at_peak.membrane_radius)),
             f"{platen:.4g} from platen force and radius Rm, {virial:.4g} from forces alone: a wide gap means that Rm "
             "is not the radius at which the membrane acts",
         ),
         _at_most(
-            "chatter at the peak", max(0.0, float(at_peak.chatter)), CHATTER,
+            f"chatter at {place}", max(0.0, float(at_peak.chatter)), CHATTER,
             "contacts moving to and fro from step to step: above the limit the step is too long, the peak wrong",
         ),
         _at_most(
@@ -110,8 +111,17 @@ def _curve_checks(result: Result) -> list[Check]:
         ),
     ]  # fmt: skip
     if np.isfinite(core):
-        checks.append(_core_check(test, platen, core, float(at_peak.membrane_radius)))
+        checks.append(_core_check(test, platen, core, float(at_peak.membrane_radius), place))
     return checks
+
+
+def _peak_check(peak: Peak) -> Check:
+    """Whether the curve has a peak at all. A test may stop before it on purpose, so that this is no fault."""
+    if peak.reached:
+        meaning = f"{peak}, and the curve goes on lower"
+        return Check("peak stress ratio", peak.stress_ratio, "reached within the test", True, meaning)
+    meaning = f"{peak}; go on to a larger axial strain before the value is read as a strength"
+    return Check("peak stress ratio", "none within the test", "no fault of a short test", None, meaning)
 
 
 def _radius_limit(test: TriaxialTest | None, radius: float) -> float:
@@ -123,9 +133,11 @@ def _radius_limit(test: TriaxialTest | None, radius: float) -> float:
     return 0.05 if test is None else max(0.05, 3 * float((test.cut.radius.mean() / radius) ** 2))
 
 
-def _core_check(test: TriaxialTest | None, platen: float, core: float, radius: float) -> Check:
+def _core_check(
+    test: TriaxialTest | None, platen: float, core: float, radius: float, place: str = "the peak"
+) -> Check:
     """Platen against core stress ratio, with the limit that the boundaries and the number of balls allow."""
-    name, gap = "platen against core stress ratio at the peak", abs(platen / core - 1)
+    name, gap = f"platen against core stress ratio at {place}", abs(platen / core - 1)
     meaning = (
         f"{platen:.4g} from the platens, {core:.4g} in the inner core: a wide gap means that boundaries (platens of a "
         "short specimen, rigid sector planes) bear on the result"

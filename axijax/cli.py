@@ -1,6 +1,5 @@
 """The command line. Heavy imports happen inside the commands, so that --help is quick."""
 
-import shlex
 import sys
 import warnings
 from collections.abc import Callable
@@ -11,6 +10,7 @@ import typer
 
 from axijax.cli_batch import batch
 from axijax.cli_check import check
+from axijax.cli_errors import complain, filling, guarded
 from axijax.cli_pictures import plot, report, snapshot
 from axijax.cli_run import new, resume, run
 
@@ -53,10 +53,11 @@ def table1(
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from axijax import table1 as paper
-    from axijax.results import writable_folder
+    from axijax.folder import writable_folder
 
     started = time.perf_counter()
     folder = writable_folder(output)
+    paper.refuse_to_overwrite(folder)
     console = Console()
     if not console.is_terminal:
         console.width = 120
@@ -76,11 +77,16 @@ def table1(
 
         def tell(row: paper.Row) -> None:
             if not console.is_terminal:
-                print(f"{row.paper_run.name}: peak {row.values()['peak_ratio']:.4f} in {row.seconds:.1f} s", flush=True)
+                print(f"{row.paper_run.name}: {row.peak.short} in {row.seconds:.1f} s", flush=True)
 
-        rows = paper.run_table(progress=advance, finished=tell)
-    written = paper.save(rows, folder)
+        with filling(folder, "run it again"):
+            rows = paper.run_table(progress=advance, finished=tell)
+    with filling(folder, "run it again"):
+        written = paper.save(rows, folder)
     console.print(_table(rows))
+    for row in rows:
+        if not row.peak.reached:
+            console.print(f"- {row.paper_run.name}: {row.peak}", highlight=False)
     for note in paper.NOTES:
         console.print(f"- {note}", highlight=False)
     confined = [row.run.curve.confinement for row in rows]
@@ -108,13 +114,18 @@ def calibrate(
     name turns its sign.
 
     Writes fit.json, fit.png and evaluations.jsonl into the output folder; an interrupted fit resumes from the latter.
+    Ends with exit code 1 where the fit has not converged; what was found is written all the same.
     """
     from axijax.case import Case, load_case
-    from axijax.results import writable_folder
+    from axijax.folder import locked, writable_folder
     from calibrate import calibrate_file
 
     test = (Case() if case is None else load_case(case)).build()
-    calibrate_file(data, fit, test, writable_folder(output), check=check)
+    folder = writable_folder(output)
+    with locked(folder), filling(folder, "run it again, and what is in evaluations.jsonl is not computed again"):
+        found = calibrate_file(data, fit, test, folder, check=check)
+    if not found.converged:
+        raise typer.Exit(1)
 
 
 def _table(rows):
@@ -172,22 +183,14 @@ def main(arguments: list[str] | None = None) -> int:
     1: something went wrong, or a check failed. 2: the command line itself. 130: interrupted, with the way to go on.
     """
     given = sys.argv[1:] if arguments is None else arguments
-    warnings.showwarning = lambda message, *_: print(f"axijax: warning: {message}", file=sys.stderr)
-    if given and "--help" not in given:  # help does without JAX, which takes a second to import
-        from axijax.platform import fast_cpu_kernels, use_compilation_cache
 
-        fast_cpu_kernels()
-        use_compilation_cache()
-    try:
-        return app(given, standalone_mode=False) or 0
-    except (ValueError, RuntimeError, OSError) as error:
-        print(f"axijax: {error}", file=sys.stderr)
-        return 1
-    except Exception as error:
-        if not hasattr(error, "format_message"):  # not the command line's own kind
-            raise
-        if error.format_message():  # nothing after a bare `axijax`, which shows its help
-            print(
-                f"axijax: {error.format_message().rstrip('.')}; given was: axijax {shlex.join(given)}", file=sys.stderr
-            )
-        return 2
+    def work() -> int | None:
+        warnings.showwarning = lambda message, *_: complain(f"warning: {message}")
+        if given and "--help" not in given:  # help does without JAX, which takes a second to import
+            from axijax.platform import fast_cpu_kernels, use_compilation_cache
+
+            fast_cpu_kernels()
+            use_compilation_cache()
+        return app(given, standalone_mode=False)
+
+    return guarded(work, given)

@@ -1,15 +1,19 @@
 """`axijax batch`: a case file with lists, run as a batch."""
 
 import itertools
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from axijax.cli_errors import filling
+
 if TYPE_CHECKING:
     from axijax.batch import Member
 
 TABLE = "sweep"
+MOST_MEMBERS = 10_000  # each is prepared before the first one runs, in a tenth of a second or more
 
 
 def batch(
@@ -26,7 +30,7 @@ def batch(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from axijax.batch import Outcome, run_batch
-    from axijax.results import writable_folder
+    from axijax.folder import writable_folder
 
     members = load_sweep(sweep)
     folder = writable_folder(output)
@@ -54,7 +58,8 @@ def batch(
             bars.update(whole, completed=ended + sum(shares.values()))
             console.print(_line(outcome), highlight=False, soft_wrap=True, markup=False)
 
-        result = run_batch(members, folder, advance, tell, workers=workers)
+        with filling(folder, "run it again, and what is there is not computed again"):
+            result = run_batch(members, folder, advance, tell, workers=workers)
     console.print(
         f"{len(result.curves)} of {len(members)} tests done. Written: {folder / 'summary.csv'}, {folder / 'members'}",
         highlight=False, soft_wrap=True,
@@ -69,10 +74,17 @@ def load_sweep(path: Path) -> "list[Member]":
     Raises ValueError, naming file and field.
     """
     from axijax.batch import Member, point_name
-    from axijax.case import make_case, read_toml
+    from axijax.case import make_case
+    from axijax.case_reading import read_toml
 
     data = read_toml(path)
     lists = _lists(path, data.pop(TABLE, None))
+    count = math.prod(map(len, lists.values()))
+    if count > MOST_MEMBERS:
+        raise ValueError(
+            f"sweep file '{path}' asks for {count:,} tests: at most {MOST_MEMBERS:,} are run at once; shorten its "
+            "lists."
+        )
     members = []
     for values in itertools.product(*lists.values()):
         point = dict(zip(lists, values, strict=True))
@@ -102,8 +114,10 @@ def _lists(path: Path, table) -> dict[tuple[str, str], list]:
 
 
 def _line(outcome) -> str:
+    from axijax.curve import find_peak
+
     name = outcome.member.name
     if outcome.failure is not None:
         return f"{name}: failed, {outcome.failure}"
-    peak = float(outcome.curve.stress_ratio.max())
-    return f"{name}: peak {peak:.4f} " + ("(there already)" if outcome.resumed else f"in {outcome.seconds:.1f} s")
+    peak = find_peak(outcome.curve.axial_strain, outcome.curve.stress_ratio)
+    return f"{name}: {peak.short} " + ("(there already)" if outcome.resumed else f"in {outcome.seconds:.1f} s")

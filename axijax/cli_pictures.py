@@ -5,6 +5,9 @@ from typing import Annotated
 
 import typer
 
+from axijax.cli_errors import filling
+
+AGAIN = "run it again"
 _RESULTS = typer.Argument(
     metavar="RESULT...", help="Folders that `axijax run` made, or files of curves (curve.nc).", show_default=False
 )
@@ -38,7 +41,10 @@ def plot(
         kinds = ["curve", *KINDS]
     results = _open(result)
     folder = output or (result[0] / "pictures" if len(result) == 1 and result[0].is_dir() else Path("pictures"))
-    _tell(plot_result(results, kinds, folder, _measured(data)))
+    measured = _measured(data)
+    with filling(folder.parent if folder.suffix else folder, AGAIN):
+        paths = plot_result(results, kinds, folder, measured)
+    _tell(paths)
 
 
 def report(
@@ -56,15 +62,17 @@ def report(
 
     Several results are compared on one page. Nothing in the page is fetched from elsewhere.
     """
+    from axijax.folder import writable_folder
     from axijax.report import write_report
-    from axijax.results import writable_folder
 
     results = _open(result)
     path = output or (result[0] / "report.html" if len(result) == 1 and result[0].is_dir() else Path("report.html"))
     if path.is_dir():
         raise ValueError(f"output '{path}' is a folder: name an HTML file in it.")
-    writable_folder(path.parent)
-    _tell([write_report(results, path, _measured(data), energy)])
+    measured = _measured(data)
+    with filling(writable_folder(path.parent), AGAIN):
+        write_report(results, path, measured, energy)
+    _tell([path])
 
 
 def snapshot(
@@ -81,13 +89,16 @@ def snapshot(
 
     In a folder that holds snapshots of the same run already, the last state is added, with axial strain as time.
     """
+    from axijax.folder import writable_folder
     from axijax.paraview import SnapshotWriter
-    from axijax.results import open_result, writable_folder
+    from axijax.results import open_result
 
     opened = open_result(result)
     progress = opened.progress
     folder = writable_folder(output or result / ("snapshots-full" if full else "snapshots"))
-    _tell(SnapshotWriter(folder, opened.test, full)(progress))
+    with filling(folder, AGAIN):
+        paths = SnapshotWriter(folder, opened.test, full)(progress)
+    _tell(paths)
 
 
 def _open(paths: list[Path]):

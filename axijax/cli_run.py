@@ -4,11 +4,13 @@ import json
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from axijax.cli_errors import INTERRUPTED, complain
 
 if TYPE_CHECKING:
     from axijax.random_packing import PackingReport
@@ -27,11 +29,12 @@ def new(
     Change what you like, delete what you do not care for, then `axijax check` and `axijax run` it.
     """
     from axijax.case import default_case, to_toml
-    from axijax.results import write_whole
+    from axijax.folder import remove_leftovers, write_whole
 
     text = to_toml(default_case(kind))
     if file.exists() and not overwrite:
         raise ValueError(f"'{file}' exists: choose another name, or --overwrite.")
+    remove_leftovers(file.parent)
     try:
         write_whole(file, lambda target: target.write_text(text))
     except OSError as error:
@@ -46,14 +49,18 @@ def run(
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the result that the folder holds.")] = False,
     snapshots: Annotated[
-        int, typer.Option(min=0, help="Snapshots for ParaView, evenly over the shear (1000 steps apart at least).")
+        int,
+        typer.Option(
+            min=0, max=100_000, help="Snapshots for ParaView, evenly over the shear (1000 steps apart at least)."
+        ),
     ] = 0,
     as_json: Json = False,
 ) -> None:
     """Run the triaxial test of a case file into a folder.
 
     The folder gets the case as it was run, run.json (versions, times, status), the curve as curve.nc, curve.csv and
-    curve.png, and checkpoint.npz. Ctrl-C stops with a checkpoint, from which `axijax resume` goes on.
+    curve.png, and checkpoint.npz. Ctrl-C, SIGTERM and a terminal that closes stop it with a checkpoint, from which
+    `axijax resume` goes on. --overwrite replaces what a run wrote, and no other file.
     """
     from axijax.case import load_case
     from axijax.runs import run_case
@@ -96,8 +103,8 @@ def _live(folder: Path, as_json: bool) -> "Iterator[_Live]":
         with kind(folder) as live:
             yield live
     except Interrupted as stop:
-        print(f"axijax: {stop}", file=sys.stderr)
-        raise typer.Exit(130) from None
+        complain(str(stop))
+        raise typer.Exit(INTERRUPTED) from None
 
 
 class _Live:
@@ -152,12 +159,10 @@ class _Live:
 
     def finished(self, run: "Run") -> None:
         """The last word."""
-        peak = run.curve.stress_ratio.argmax()
-        self.show(
-            "finished",
-            f"peak stress ratio {run.curve.stress_ratio[peak]:.4f} at {100 * run.curve.axial_strain[peak]:.3f} % axial "
-            f"strain; {time.perf_counter() - self.started:.1f} s; result in {self.folder}",
-        )
+        from axijax.curve import find_peak
+
+        peak = find_peak(run.curve.axial_strain, run.curve.stress_ratio)
+        self.show("finished", f"{peak}; {time.perf_counter() - self.started:.1f} s; result in {self.folder}")
 
 
 class _PlainLines(_Live):
@@ -182,7 +187,8 @@ class _LiveLine(_Live):
         return self
 
     def __exit__(self, kind, error, trace) -> None:
-        self.live.stop()
+        with suppress(OSError):  # the terminal may be gone
+            self.live.stop()
 
     def show(self, event: str, text: str) -> None:
         from rich.spinner import Spinner
@@ -237,15 +243,20 @@ class _JsonLines(_Live):
         )
 
     def finished(self, run: "Run") -> None:
-        peak = int(run.curve.stress_ratio.argmax())
+        from axijax.curve import find_peak
+
+        peak = find_peak(run.curve.axial_strain, run.curve.stress_ratio)
         self.say(
             event="finished",
             result=str(self.folder),
-            peak_stress_ratio=float(run.curve.stress_ratio[peak]),
-            axial_strain_at_peak=float(run.curve.axial_strain[peak]),
+            peak_stress_ratio=peak.stress_ratio,
+            axial_strain_at_peak=peak.axial_strain,
+            peak_reached=peak.reached,
+            **({} if peak.reached else {"warning": str(peak)}),
         )
 
     def __exit__(self, kind, error, trace) -> None:
         if error is not None:
             stopped = "interrupted" if kind.__name__ == "Interrupted" else "failed"
-            self.say(event=stopped, message=str(error))
+            with suppress(OSError):
+                self.say(event=stopped, message=str(error))

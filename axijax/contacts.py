@@ -126,10 +126,16 @@ def elastic_force(law: Law, place: Geometry) -> Vector:
 def frictionless_force(law: Law, place: Geometry, approach: Vector) -> Vector:
     """Force of a frictionless contact with a dashpot."""
     distance = jnp.sqrt(place.branch.dot(place.branch))
-    assert law.normal_viscosity is not None
-    normal_force = law.normal_stiffness * place.overlap
-    normal_force = normal_force - law.normal_viscosity * place.branch.dot(approach) / distance
-    return place.branch * (jnp.where((place.overlap > 0) & (normal_force > 0), normal_force, 0.0) / distance)
+    return place.branch * (normal_force_of(law, place, place.branch.dot(approach) / distance)[1] / distance)
+
+
+def normal_force_of(law: Law, place: Geometry, normal_speed: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Which contacts press, and their normal forces, never tensile; (C,). normal_speed: at which they part [L/T]."""
+    force = law.normal_stiffness * place.overlap
+    if law.normal_viscosity is not None:
+        force = force - law.normal_viscosity * normal_speed
+    pressing = (place.overlap > 0) & (force > 0)
+    return pressing, jnp.where(pressing, force, 0.0)
 
 
 def _evaluate(law: Law, dt, place: Geometry, approach: Vector, surface_velocity: Vector | None, spring: Vector):
@@ -140,11 +146,7 @@ def _evaluate(law: Law, dt, place: Geometry, approach: Vector, surface_velocity:
     slip_rate = approach - normal * normal_speed
     if surface_velocity is not None:
         slip_rate = slip_rate - surface_velocity.cross(place.branch) * place.per_reach
-    normal_force = law.normal_stiffness * place.overlap
-    if law.normal_viscosity is not None:
-        normal_force = normal_force - law.normal_viscosity * normal_speed
-    pressing = (place.overlap > 0) & (normal_force > 0)
-    normal_force = jnp.where(pressing, normal_force, 0.0)
+    pressing, normal_force = normal_force_of(law, place, normal_speed)
     if law.kept is not None:
         spring = spring * law.kept
     normal_part = spring.dot(normal)

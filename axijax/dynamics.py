@@ -17,6 +17,7 @@ from axijax.lateral import LateralTerm
 from axijax.membrane import Load
 from axijax.neighbors import Network
 from axijax.params import Params
+from axijax.quantity import parts_of
 from axijax.state import State
 from axijax.term import Memory, Push, Term, total
 from axijax.vector import Vector, zeros
@@ -39,8 +40,9 @@ def spins(scene: Scene, params: Params) -> bool:
 
 
 def terms_of(params: Params, load: Load | None = None) -> tuple[Term, ...]:
-    """The terms of a scene in their order: contacts, walls, lateral load, and those of the parameters."""
-    return (ContactTerm(), WallTerm(), LateralTerm(load), *params.terms)
+    """The terms of a scene in their order: contacts, walls, lateral load, and what else is part of the parameters."""
+    further = (each for each in parts_of(params) if isinstance(each, Term))
+    return ContactTerm(), WallTerm(), LateralTerm(load), *further
 
 
 class Forces(NamedTuple):

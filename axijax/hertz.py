@@ -195,9 +195,7 @@ def reduced_radius(network: Network):
     """R* = r1 r2/(r1 + r2) of the contacts [L]; () where all balls are equal."""
     if jnp.ndim(network.pair_cube) == 0:
         return jnp.cbrt(0.25 * network.pair_cube)  # of equal balls r/2, from r^3/2
-    first, second = (
-        network.radius.at[index].get(mode="promise_in_bounds") for index in (network.first, network.second)
-    )
+    first, second = network.contact_radii()
     return first * second / (first + second)
 
 

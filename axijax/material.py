@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 
 from axijax.damping import UNDAMPED, Damping, Dashpot
-from axijax.quantity import quantity
+from axijax.quantity import part, quantity
+from axijax.rolling import Rolling, Torsion
 
 if TYPE_CHECKING:
     from axijax.contacts import ContactLaw
@@ -41,6 +42,8 @@ class Material:
         None, "Coulomb coefficient between balls and platens; none: smooth, inf: glued", "-", infinite=True
     )
     damping: Damping | None = Dashpot()
+    rolling: Rolling | None = part(Rolling, "resistance to rolling")
+    torsion: Torsion | None = part(Torsion, "resistance to spinning about the contact's normal")
 
     @property
     def frictional(self) -> bool:

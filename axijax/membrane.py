@@ -315,6 +315,30 @@ class Load:
     stale: jax.Array | float = 0.0
 
 
+def check_load(load: Load, cut: Specimen) -> None:
+    """Raise ValueError, naming what is wrong, for a constant load that a sector's balls cannot carry."""
+    if not isinstance(load, Load):
+        raise ValueError(f"lateral_load is a {type(load).__name__}: must be a membrane.Load.")
+    lateral, section, count = np.asarray(load.lateral), np.asarray(load.section), len(cut)
+    if lateral.shape not in ((2, count), (count,)):
+        raise ValueError(
+            f"lateral_load.lateral has shape {lateral.shape}: must be (2, {count}), a horizontal vector for each ball "
+            f"of the sector, or ({count},), the area of each ball's cell."
+        )
+    if section.shape != () or section.dtype.kind not in "fiu" or not (np.isfinite(section) and section > 0):
+        raise ValueError(f"lateral_load.section = {section}: must be one number, positive and finite [L^2].")
+    if lateral.dtype.kind not in "fiu" or not np.isfinite(lateral).all():
+        raise ValueError("lateral_load.lateral holds values that are not finite numbers: every ball needs one [L^2].")
+    if lateral.ndim == 1 and lateral.min() < 0:
+        raise ValueError(f"lateral_load.lateral holds an area of {lateral.min():g}: must be zero or positive [L^2].")
+    outward = lateral * cut.positions[:2] if lateral.ndim == 2 else lateral * np.hypot(*cut.positions[:2])
+    if not outward.sum() > 0:
+        raise ValueError(
+            "lateral_load.lateral does not confine the balls: its vectors are those of the missing neighbours, away "
+            "from the axis, and press the other way; turn their sign."
+        )
+
+
 def membrane_load(membrane: Membrane, positions: Vector, bottom, top) -> Load:
     """Cells and section at the current positions."""
     section = 0.5 * membrane.sector_angle * membrane_radius(membrane, positions) ** 2

@@ -92,6 +92,14 @@ class Network:
         """Whether an update found more contacts than there is room for, as in jax-md; then make a new list."""
         return (self.status & FULL_LIST) != 0
 
+    def contact_radii(self) -> tuple[jax.Array, jax.Array]:
+        """Radii of the contacts' first and second balls [L]; () where all balls are equal."""
+        if self.pair_cube.ndim == 0:
+            radius = jnp.cbrt(2 * self.pair_cube)
+            return radius, radius
+        first, second = (self.radius.at[i].get(mode="promise_in_bounds") for i in (self.first, self.second))
+        return first, second
+
     def of_first(self, vectors: Vector) -> Vector:
         """Vectors of the balls (N,) at the contacts' first balls; (C,)."""
         return vectors.at(self.first)
@@ -276,10 +284,12 @@ def places_in(old: Network, new: Network) -> tuple[jax.Array, jax.Array]:
     Both lists must describe every ball by the same image.
     """
     before, after = (keys(each, each.first, each.second, each.image) for each in (old, new))
-    place = jnp.minimum(jnp.searchsorted(before, after), before.size - 1)
+    order = jnp.argsort(before)
+    place = order[jnp.minimum(jnp.searchsorted(before, after, sorter=order), before.size - 1)]
     return place, (before[place] == after) & (new.image >= 0)
 
 
+@jax.jit
 def carry(old: Network, new: Network, values: Any) -> Any:
     """What belongs to the old list's contacts, a pytree of (C,) arrays, at each contact's place in the new list; zero
     for contacts that the old list does not hold."""
@@ -287,7 +297,6 @@ def carry(old: Network, new: Network, values: Any) -> Any:
     return jax.tree.map(lambda part: jnp.where(known, part[place], jnp.zeros((), part.dtype)), values)
 
 
-@jax.jit
 def carry_memory(old: Network, new: Network, memory: tuple["Memory", ...]) -> tuple["Memory", ...]:
     """The terms' memory, with what belongs to contacts carried to a new list."""
     return tuple(each._replace(contact=carry(old, new, each.contact)) for each in memory)

@@ -13,6 +13,7 @@ from axijax.params import Params
 from axijax.sector import radial_distance
 from axijax.state import State
 from axijax.vector import Vector
+from axijax.volume import solid_volume, void_ratio
 
 
 class Observation(NamedTuple):
@@ -23,6 +24,8 @@ class Observation(NamedTuple):
     core_ratio: vertical over mean horizontal Love-Weber stress of the balls within rho < Rm/2 and the middle 60 %
         of the height [-].
     height, membrane_radius: distance of the platens and radius Rm [L].
+    volume: of the full cylinder, see `axijax.volume` [L^3].
+    void_ratio: voids over solids below the skin, counted [-].
     coordination_number: mean number of touching contacts of a ball, platens not counted [-].
     unbalanced_force: mean resultant on a ball over mean contact force [-].
     sliding_fraction: share of the touching contacts at the Coulomb limit [-].
@@ -34,6 +37,8 @@ class Observation(NamedTuple):
     core_ratio: jax.Array
     height: jax.Array
     membrane_radius: jax.Array
+    volume: jax.Array
+    void_ratio: jax.Array
     coordination_number: jax.Array
     unbalanced_force: jax.Array
     sliding_fraction: jax.Array
@@ -49,6 +54,12 @@ def observe(
     height = state.platens[1] - state.platens[0]
     platen_force = forces.platen_forces(network).mean()
     lateral = lateral_force(params.confining_stress, load, place)
+    radius = membrane_radius(membrane, place)
+    voids = void_ratio(place, network.radius, network.weight, network.sector, state.platens.astype(network.dtype))
+    if membrane.zone_rule == "exposure":
+        volume = (1 + voids) * solid_volume(network.radius, network.weight, network.sector)
+    else:
+        volume = jnp.pi * radius**2 * height
 
     force = forces.contacts.force
     pair = geometry(network, state.displacement)
@@ -65,9 +76,11 @@ def observe(
     return Observation(
         stress_ratio=platen_force / load.section / params.confining_stress,
         virial_ratio=platen_force * height / jnp.maximum(-0.5 * lateral.dot(place).sum(), 1e-300),
-        core_ratio=core_stress_ratio(network, forces, normal, place, membrane_radius(membrane, place), state.platens),
+        core_ratio=core_stress_ratio(network, forces, normal, place, radius, state.platens),
         height=height,
-        membrane_radius=membrane_radius(membrane, place),
+        membrane_radius=radius,
+        volume=volume,
+        void_ratio=voids,
         coordination_number=2 * number / network.weight.sum(),
         unbalanced_force=(resultant * network.weight).sum() / network.weight.sum() / jnp.maximum(mean_force, 1e-300),
         sliding_fraction=sliding,

@@ -39,7 +39,7 @@ class Specimen:
     zone_rule: ZoneRule = "given"
 
     def __post_init__(self) -> None:
-        positions = np.asarray(self.positions, float)
+        positions = np.array(self.positions, float)  # its own, whatever becomes of the caller's
         if positions.ndim != 2 or positions.shape[0] != 3 or positions.shape[1] == 0:
             raise ValueError(
                 f"specimen positions have shape {positions.shape}: must be (3, N) with at least one ball; "
@@ -50,7 +50,7 @@ class Specimen:
         if radius.shape not in ((), (count,)):
             raise ValueError(f"specimen radius has shape {radius.shape}: must be one number or ({count},).")
         radius = np.broadcast_to(radius, (count,)).copy()
-        zone = np.asarray(self.membrane_zone, bool)
+        zone = np.array(self.membrane_zone, bool)
         if self.zone_rule not in ("given", "exposure"):
             raise ValueError(f"specimen zone_rule = {self.zone_rule!r}: must be 'given' or 'exposure'.")
         if not np.isfinite(positions).all():

@@ -9,6 +9,7 @@ and platens are faces. An index names only files that are whole, at whatever mom
 """
 
 import contextlib
+import re
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -18,7 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from axijax.dynamics import positions
-from axijax.results import write_whole
+from axijax.folder import remove_leftovers, write_whole
 from axijax.snapshot import Snapshot, confined_positions, snapshot
 from axijax.triaxial import Progress, TriaxialTest
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     import meshio
 
 PARTS = ("balls", "contacts", "membrane", "platens")
+CONFINED = "confined.npy"  # centres at the end of confinement, kept beside the snapshots
 DISC_CORNERS = 96  # of a platen's full circle
 
 
@@ -45,6 +47,7 @@ class SnapshotWriter:
     def __call__(self, progress: Progress) -> list[Path]:
         """Write the state of a shear in progress; the files written, indexes last. Raises OSError where it cannot."""
         self.folder.mkdir(parents=True, exist_ok=True)
+        remove_leftovers(self.folder)
         moment = snapshot(self.test, progress, self.full, self._confined(progress))
         # Strains are compared as the index writes them.
         self.strains = [strain for strain in self.strains if float(strain) < float(_number(moment.axial_strain))]
@@ -62,7 +65,7 @@ class SnapshotWriter:
 
     def _confined(self, progress: Progress) -> np.ndarray:
         """Centres at the end of confinement: kept in the folder, or from confining once more."""
-        kept = self.folder / "confined.npy"
+        kept = self.folder / CONFINED
         if progress.records.height.size == 0:
             confined = np.asarray(positions(progress.network, progress.state), float)
         else:
@@ -78,6 +81,11 @@ class SnapshotWriter:
 
         write_whole(kept, save)
         return confined
+
+
+def is_snapshot_file(name: str) -> bool:
+    """Whether a file's name is one that a SnapshotWriter gives."""
+    return name == CONFINED or re.fullmatch(rf"({'|'.join(PARTS)})(_\d{{4,}}\.vtu|\.pvd)", name) is not None
 
 
 def meshes(moment: Snapshot) -> "Mapping[str, meshio.Mesh]":

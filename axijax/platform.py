@@ -7,6 +7,7 @@ import contextlib
 import hashlib
 import os
 import platform
+import time
 import warnings
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from jax.interpreters import ad, batching, mlir
 FUSION_OPTION = "xla_cpu_use_multi_output_fusion"
 CACHE_VARIABLE = "AXIJAX_CACHE"
 CACHE_BYTES = 512 * 2**20  # a test's programs take a third of a megabyte; the oldest go where there is more than this
+CHECKED = ".checked"  # a file as old as the last look for damaged programs
 CACHED_SECONDS = 0.05  # programs that compile faster than this are not worth a file
 
 
@@ -60,11 +62,19 @@ def use_compilation_cache(path: Path | str | None = None) -> Path | None:
     given = jax.config.values["jax_compilation_cache_dir"]
     if path is None and given:
         return Path(given)
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~").expanduser() / ".cache")
-    folder = (Path(asked).expanduser() if asked else home / "axijax") / _processor()
+    try:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~").expanduser() / ".cache")
+        folder = (Path(asked).expanduser() if asked else home / "axijax") / _processor()
+    except RuntimeError:  # a user without a home
+        warnings.warn(
+            f"no compilation cache: this user has no home folder; set {CACHE_VARIABLE} to a folder, or to 'off'.",
+            stacklevel=2,
+        )
+        return None
     try:
         folder.mkdir(parents=True, exist_ok=True)
         _prune(folder)
+        _remove_damaged(folder)
         if not os.access(folder, os.W_OK | os.X_OK):
             raise PermissionError(13, "Permission denied")
     except OSError as error:
@@ -97,6 +107,43 @@ def _prune(folder: Path) -> None:
             total -= about.st_size
             if total < CACHE_BYTES / 2:
                 break
+
+
+def _remove_damaged(folder: Path) -> None:
+    """Remove programs that were cut short while they were written; JAX would warn of them for ever and replace none.
+
+    Only what is new since the last look is read: a program is written once.
+    """
+    mark = folder / CHECKED
+    last = mark.stat().st_mtime if mark.exists() else 0.0
+    now = time.time()
+    for file in folder.glob("*-cache"):
+        with contextlib.suppress(OSError):  # another process has removed it
+            if file.stat().st_mtime > last - 2 and not _is_whole(file.read_bytes()):
+                file.unlink()
+    mark.touch()
+    os.utime(mark, (now, now))
+
+
+def _is_whole(program: bytes) -> bool:
+    from jax._src.compilation_cache import decompress_executable
+
+    try:
+        return len(decompress_executable(program)) > 0
+    except Exception:  # each of the packages that JAX compresses with has its own
+        return False
+
+
+def require_64_bits() -> None:
+    """Raise ValueError where JAX has been switched to 32 bits since axijax was imported, as other libraries do.
+
+    Platens move by less than a float32 can tell: no test would find its balance.
+    """
+    if not jax.config.values["jax_enable_x64"]:
+        raise ValueError(
+            "JAX's 64-bit numbers are switched off (jax_enable_x64), though importing axijax switches them on: another "
+            'library or line of this program did it; call jax.config.update("jax_enable_x64", True) before the test.'
+        )
 
 
 def warn_where_batched(tree):

@@ -1,7 +1,9 @@
 """Pictures of results and of the paper's figures, with matplotlib (imported on first use of this module)."""
 
 import difflib
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -11,8 +13,9 @@ from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 
 from axijax import theory
+from axijax.folder import draw_afterwards, printable, writable_folder, write_whole
 from axijax.progress import Run
-from axijax.results import Result, writable_folder, write_whole
+from axijax.results import Result
 from axijax.triaxial import TriaxialTest
 
 if TYPE_CHECKING:
@@ -119,10 +122,18 @@ def labels(results: Sequence[Result]) -> list[str]:
 
 
 def thornton_ratio(case: "Case") -> float | None:
-    """Thornton's stress ratio of the ideal array where the specimen is an FCC one, 2 (1 + f) / (1 - f) [-]."""
-    if case.specimen.kind not in ("octagon", "fcc"):
+    """Thornton's stress ratio of the ideal array where the specimen is an FCC one, 2 (1 + f) / (1 - f) [-].
+
+    None for other specimens, and for a friction of 1 or more."""
+    friction = case.parameters.friction if case.scene.friction else 0.0
+    if case.specimen.kind not in ("octagon", "fcc") or friction >= 1:  # where the ideal array locks
         return None
-    return float(theory.fcc_stress_ratio(case.parameters.friction if case.scene.friction else 0.0))
+    return float(theory.fcc_stress_ratio(friction))
+
+
+def _plain(text: str) -> str:
+    """A name as it is: matplotlib would read what is between two $ as mathematics."""
+    return printable(text).replace("$", r"\$")
 
 
 def _short(value) -> str:
@@ -142,7 +153,7 @@ def curve_figure(results: Sequence[Result], data: Measured | None = None) -> Fig
         # Thinner from one to the next, so that runs that coincide still show.
         width = 1.6 + 1.6 * (len(results) - 1 - number) / max(len(results) - 1, 1)
         line = {"color": colour, "ls": style, "lw": width}
-        upper.plot(strain, curve.stress_ratio.values, label=name, **line)
+        upper.plot(strain, curve.stress_ratio.values, label=_plain(name), **line)
         lower.plot(strain, 100 * curve.volumetric_strain.values, **line)
         ratio = None if case is None else thornton_ratio(case)
         if case is not None and ratio is not None:
@@ -153,7 +164,8 @@ def curve_figure(results: Sequence[Result], data: Measured | None = None) -> Fig
         upper.plot([0, end], [ratio, ratio], color=colour, lw=1, ls=(0, (6, 3)), label=label)
     if data is not None:
         points = {"color": "black", "ls": "none", "marker": "o", "mfc": "none", "ms": 5}
-        upper.plot(100 * data.axial_strain, data.stress_ratio, label=f"measured, {Path(data.source).name}", **points)
+        label = _plain(f"measured, {Path(data.source).name}")
+        upper.plot(100 * data.axial_strain, data.stress_ratio, label=label, **points)
         if data.volumetric_strain is not None:
             lower.plot(100 * data.axial_strain, 100 * data.volumetric_strain, **points)
     upper.set(ylabel="stress ratio s1/s3 [-]")
@@ -174,7 +186,10 @@ def plot_result(
     output: a file where one picture is made; otherwise a folder, made where it is missing.
     data: measured curve for "curve".
 
-    Raises ValueError for an unknown kind, for several pictures in one file, and for a result without a last state.
+    A picture that cannot be drawn costs a warning, the others are drawn all the same.
+
+    Raises ValueError for an unknown kind, for several pictures in one file, for a result without a last state, and
+    where no picture could be drawn.
     """
     from axijax import pictures
     from axijax.snapshot import snapshot
@@ -191,13 +206,18 @@ def plot_result(
         raise ValueError(f"output '{output}': {count} pictures do not fit one file; give a folder.")
     writable_folder(output.parent if output.suffix else output)
     paths: list[Path] = []
+    missing: list[str] = []
 
-    def save(figure: Figure, name: str) -> None:
-        paths.append(output if output.suffix else output / f"{name}.png")
-        save_figure(figure, paths[-1])
+    def save(make: Callable[[], Figure], name: str) -> None:
+        path = output if output.suffix else output / f"{name}.png"
+        problem = draw_afterwards(path.name, lambda: save_figure(make(), path))
+        if problem is None:
+            paths.append(path)
+        else:
+            missing.append(problem)
 
     if "curve" in kinds:
-        save(curve_figure(results, data), "curve")
+        save(lambda: curve_figure(results, data), "curve")
     drawn = [kind for kind in kinds if kind != "curve"]
     names = [result.name for result in results]
     for number, result in enumerate(results):
@@ -206,7 +226,11 @@ def plot_result(
         seen = snapshot(result.test, result.progress, full=True)
         unique = names[number] if names.count(names[number]) == 1 else f"{names[number]}-{number + 1}"
         for kind in drawn:
-            save(pictures.KINDS[kind](seen), kind if len(results) == 1 else f"{unique}-{kind}")
+            save(partial(pictures.KINDS[kind], seen), kind if len(results) == 1 else f"{unique}-{kind}")
+    if not paths:
+        raise ValueError("; ".join(missing) + ".")
+    for problem in missing:
+        warnings.warn(problem, stacklevel=2)
     return paths
 
 

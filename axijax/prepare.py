@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax.dynamics import Scene
-from axijax.membrane import Load, Membrane, build_membrane
+from axijax.membrane import Load, Membrane, build_membrane, check_load
 from axijax.neighbors import Network, build_network
 from axijax.params import check_params
 from axijax.paths import Compression, Isotropic, wave_speed
@@ -18,6 +18,8 @@ from axijax.update import grid_for
 
 if TYPE_CHECKING:
     from axijax.triaxial import TriaxialTest
+
+MOST_STEPS = 2**31 - 1  # steps are counted in 32 bits; so many take days
 
 
 @dataclass(frozen=True)
@@ -77,12 +79,21 @@ def prepare(test: "TriaxialTest") -> Prepared:
     else:
         network = build_network(cut, sector, dtype=test.dtype)
         membrane = build_membrane(cut, sector, dtype=test.dtype)
-    limit = critical_time_step(test.scene, params, network)
-    step = DEFAULT_STEP * limit if test.time_step is None else test.time_step
-    if not test.allow_unsafe_step:
+    step = test.time_step
+    if step is None or not test.allow_unsafe_step:
+        limit = critical_time_step(test.scene, params, network)
+        step = DEFAULT_STEP * limit if step is None else step
         check_step(step, limit)
     ramp = 8 * cut.height / wave_speed(params, network)
-    duration = test.axial_strain * cut.height / (2 * float(params.platen_speed)) + ramp / 2
+    speed = float(params.platen_speed)
+    duration = test.axial_strain * cut.height / (2 * speed) + ramp / 2
+    if not duration / step <= MOST_STEPS:
+        raise ValueError(
+            f"axial_strain = {test.axial_strain:g} takes {duration / step:.2g} steps of {step:.3g} at platen_speed = "
+            f"{speed:g}: at most {MOST_STEPS:.2g} can be counted; raise platen_speed or stop at a smaller strain."
+        )
+    if test.lateral_load is not None:
+        check_load(test.lateral_load, cut)
     return Prepared(
         network=network,
         membrane=membrane,

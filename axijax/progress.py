@@ -8,7 +8,7 @@ import numpy as np
 from axijax.curve import Confinement, Curve, make_curve, no_records, raise_for_status
 from axijax.dynamics import positions
 from axijax.engine import fixed_load, march_until
-from axijax.membrane import Load, Membrane, membrane_radius
+from axijax.membrane import Load, Membrane
 from axijax.neighbors import Network
 from axijax.observe import Observation
 from axijax.params import Params, check_params
@@ -30,8 +30,6 @@ class Progress(NamedTuple):
     fixed: the lateral load where it does not follow the membrane's cells.
     height: distance of the platens at the end of confinement [L].
     records: what was observed so far, T values each.
-    swelling: by which Rm is multiplied in the records of a zone found by exposure, so that balls that join or leave the
-        zone are no change of volume; what is left is the work of the membrane over s3 [-].
     due: steps until the next record. taken: steps of the shear so far. worn: the lists need a rebuild before the next.
     """
 
@@ -43,7 +41,6 @@ class Progress(NamedTuple):
     confinement: Confinement
     height: float
     records: Observation
-    swelling: float = 1.0
     due: int = 0
     taken: int = 0
     worn: bool = False
@@ -90,24 +87,20 @@ def begin(test: "TriaxialTest", params: Params) -> Progress:
 def go_on(test: "TriaxialTest", now: Progress) -> Progress:
     """About 1000 steps further, or until a list is worn; lists that are worn are rebuilt first."""
     prepared = test.prepared
-    lists, state, swelling = now.lists, now.state, now.swelling
+    lists, state = now.lists, now.state
     if now.worn:
-        radius_before = _radius_now(*lists, state)
         lists, state = rebuilt(test.cut, lists, state)
-        if test.cut.zone_rule == "exposure":
-            swelling *= radius_before / _radius_now(*lists, state)
     reached = march_until(
         test.scene, -(-SEGMENT // test.record_every), test.record_every, True, prepared.shear, lists,
         prepared.time_step, now.params, state, now.fixed, now.due, now.taken, now.worn,
     )  # fmt: skip
     seen = jax.tree.map(lambda values: np.asarray(values)[: int(reached.records)], reached.seen)
-    seen = seen._replace(membrane_radius=seen.membrane_radius * swelling)
     joined = jax.tree.map(np.append, now.records, seen)
     if int(reached.status):
         raise_for_status(reached.status, make_curve(joined, now.confinement))
     network, membrane = lists
     return now._replace(
-        network=network, membrane=membrane, state=reached.state, records=joined, swelling=swelling,
+        network=network, membrane=membrane, state=reached.state, records=joined,
         due=int(reached.due), taken=int(reached.steps), worn=bool(reached.worn),
     )  # fmt: skip
 
@@ -130,7 +123,3 @@ class Run(NamedTuple):
     def positions(self) -> np.ndarray:
         """Ball centres at the end, (3, N) [L]; ball i is ball i of the test's `cut` throughout."""
         return np.asarray(positions(self.network, self.state))
-
-
-def _radius_now(network: Network, membrane: Membrane, state: State) -> float:
-    return float(jax.jit(membrane_radius)(membrane, positions(network, state)))

@@ -27,7 +27,7 @@ class Quantity:
     """A parameter's declaration.
 
     meaning: a few words, without the unit. unit: in [L], [M], [T], [F], or "-".
-    least, above: lower bound, itself allowed or not. below: upper bound, itself not allowed.
+    least, above: lower bound, itself allowed or not. below, most: upper bound, itself not allowed or allowed.
     symbols: short names by which a fit may call it.
     coordinate: in which it is a number without bounds: "log" of a scale, "logit" of what lies between 0 and `below`.
     per_ball: it may also be one number a ball. whole: it counts something. infinite: it may be infinite.
@@ -38,6 +38,7 @@ class Quantity:
     least: float = 0.0
     above: float = -np.inf
     below: float = np.inf
+    most: float = np.inf
     symbols: tuple[str, ...] = ()
     coordinate: Coordinate = "log"
     per_ball: bool = False
@@ -53,7 +54,8 @@ class Quantity:
         """The bounds in words."""
         low = f"above {self.above:g}" if self.above >= self.least else f"{self.least:g} or more"
         low = {"above 0": "positive", "0 or more": "zero or positive", "-inf or more": "a number"}.get(low, low)
-        return low if np.isinf(self.below) else f"{low} and below {self.below:g}"
+        high = f" and below {self.below:g}" if np.isfinite(self.below) else ""
+        return low + (f" and at most {self.most:g}" if np.isfinite(self.most) else high)
 
     @property
     def top(self) -> float:
@@ -90,7 +92,7 @@ class Quantity:
         if not finite.all():
             return f"{name} = {numbers[~finite].ravel()[0]}: must be a finite number."
         for shown in (numbers.min(), numbers.max()) if numbers.size else ():
-            if shown < self.least or shown <= self.above or self.below <= shown < np.inf:
+            if shown < self.least or shown <= self.above or shown > self.most or self.below <= shown < np.inf:
                 return f"{name} = {shown:g}: must be {self.allowed}."
         if numbers.shape != () and not (self.per_ball and numbers.shape == (balls,)):
             each = f", or ({balls},), one per ball" if self.per_ball else ""
@@ -101,6 +103,16 @@ class Quantity:
 def quantity(default, meaning: str, unit: str, **about) -> Any:
     """A dataclass field with this default that is a parameter; see `Quantity` for the rest."""
     return dataclasses.field(default=default, metadata={"quantity": Quantity(meaning, unit, **about)})
+
+
+def part(kind: type, meaning: str) -> Any:
+    """A dataclass field for a part that is not there by default; giving any of its parameters by name puts it there."""
+    return dataclasses.field(default=None, metadata={"part": kind, "meaning": meaning})
+
+
+def optional_parts(tree: type | object) -> dict[str, type]:
+    """The optional parts that a part declares, there or not, by field."""
+    return {f.name: f.metadata["part"] for f in dataclasses.fields(tree) if "part" in f.metadata}  # type: ignore[arg-type]
 
 
 def setting(default, meaning: str, unit: str = "", **about) -> Any:
@@ -145,6 +157,15 @@ def values_of(tree) -> dict[str, Any]:
     return {name: value for name, (_, value) in present(tree).items()}
 
 
+def senseless(tree) -> jax.Array:
+    """Whether any parameter is outside its bounds, as a traced value; what `check_values` cannot see."""
+    wrong = [
+        jnp.any((value < about.least) | (value <= about.above) | ((value >= about.below) & np.isfinite(about.below)))
+        for about, value in present(tree).values()
+    ]
+    return jnp.stack(wrong).any()
+
+
 def with_values(tree, values: dict[str, Any]):
     """The tree with parameters or parts replaced by name, wherever in it they are.
 
@@ -165,8 +186,11 @@ def _replaced(tree, left: dict[str, Any]):
     changes = {}
     for f in dataclasses.fields(tree):
         before = getattr(tree, f.name)
+        kind = f.metadata.get("part")
+        if before is None and kind is not None and f.name not in left and set(left) & set(declared(kind)):
+            before = kind()
         after = left.pop(f.name) if f.name in left else _replaced(before, left)
-        if after is not before:
+        if after is not getattr(tree, f.name):
             changes[f.name] = after
     return dataclasses.replace(tree, **changes) if changes else tree  # type: ignore[type-var]
 

@@ -20,6 +20,7 @@ from axijax.membrane import build_membrane, membrane_radius
 from axijax.packing import Specimen, check_positive
 from axijax.params import Params, check_params
 from axijax.paths import Isotropic
+from axijax.platform import require_64_bits
 from axijax.rebuild import roomy_lists
 from axijax.sector import Sector, plane_normals
 from axijax.stages import settle
@@ -118,6 +119,7 @@ def random_cylinder(
     Raises ValueError for arguments that make no sense, or a void ratio that cannot be reached, with the range that can;
     RuntimeError where compaction did not reach its tolerance.
     """
+    require_64_bits()
     grading = linear(16.0, 24.0) if grading is None else grading
     params = Params() if params is None else params
     if isinstance(balls, bool) or not isinstance(balls, int | np.integer) or balls < 1 or balls % sector.order:

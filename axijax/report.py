@@ -7,8 +7,9 @@ opened offline and printed.
 import base64
 import io
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from html import escape
 from importlib.metadata import version
 from pathlib import Path
@@ -19,8 +20,10 @@ from matplotlib.figure import Figure
 from axijax import pictures
 from axijax.case import SECTIONS, to_toml
 from axijax.checks import result_checks
+from axijax.curve import find_peak
+from axijax.folder import draw_afterwards, write_whole
 from axijax.plot import Measured, case_of, curve_figure, labels, thornton_ratio
-from axijax.results import LONG_NAMES, RECORDS, UNITS, Result, write_whole
+from axijax.results import LONG_NAMES, RECORDS, UNITS, Result
 from axijax.snapshot import snapshot
 
 DPI = 110
@@ -82,7 +85,8 @@ def write_report(results: Sequence[Result], output: Path, data: Measured | None 
     Raises ValueError for a result without a case, and OSError where the file cannot be written.
     """
     page = report_page(results, data, energy)
-    write_whole(Path(output), lambda target: target.write_text(page, encoding="utf-8"))
+    # A file's name need not be text.
+    write_whole(Path(output), lambda target: target.write_text(page, encoding="utf-8", errors="replace"))
     return Path(output)
 
 
@@ -102,7 +106,7 @@ def report_page(results: Sequence[Result], data: Measured | None = None, energy:
         body += ["<h2>Comparison</h2>", _comparison(results, names)]
     else:
         body.append(_figures(results[0]))
-    body += ["<h2>Curves</h2>", _figure(curve_figure(results, data), _curves_caption(results, data), "curves")]
+    body += ["<h2>Curves</h2>", _figure(lambda: curve_figure(results, data), _curves_caption(results, data), "curves")]
     for result, name in zip(results, names, strict=True):
         head = (lambda text, name=name: f"<h2>{escape(name)}: {text}</h2>") if several else "<h2>{}</h2>".format
         body += [head("Checks" if not several else "checks"), _checks(result, energy)]
@@ -121,24 +125,27 @@ def report_page(results: Sequence[Result], data: Measured | None = None, energy:
 
 
 def _warning(result: Result, name: str) -> str:
-    if result.status == "finished":
-        return ""
-    message = result.info.get("message") or "the curves end where it was last saved"
-    return f'<p class="warning">{escape(name)} has not finished (status: {result.status}): {escape(str(message))}</p>'
+    told = [f"{name}: {text}" for text in result.info.get("warnings", ())]
+    if result.status != "finished":
+        message = result.info.get("message") or "the curves end where it was last saved"
+        told.insert(0, f"{name} has not finished (status: {result.status}): {message}")
+    return "\n".join(f'<p class="warning">{escape(text)}</p>' for text in told)
 
 
 def _summary(result: Result) -> dict[str, str]:
     """What a reader looks for first, by name."""
     curve, case = result.curve, case_of(result)
-    peak = int(curve.stress_ratio.values.argmax())
-    summary = {
-        "peak stress ratio s1/s3 [-]": f"{float(curve.stress_ratio[peak]):.4g}",
-        "axial strain at the peak [%]": f"{100 * float(curve.axial_strain[peak]):.3g}",
-    }
+    peak = find_peak(curve.axial_strain.values, curve.stress_ratio.values)
+    if peak.reached:
+        summary = {"peak stress ratio s1/s3 [-]": f"{peak.stress_ratio:.4g}"}
+        summary["axial strain at the peak [%]"] = f"{100 * peak.axial_strain:.3g}"
+    else:
+        summary = {f"largest stress ratio s1/s3 so far [-], {peak.doubt}": f"{peak.stress_ratio:.4g}"}
+        summary["axial strain there [%]"] = f"{100 * peak.axial_strain:.3g}"
     if case is not None and thornton_ratio(case) is not None:
         summary["Thornton (1979), rigid balls that do not rotate [-]"] = f"{thornton_ratio(case):.4g}"
     summary |= {
-        "core stress ratio there [-]": f"{float(curve.core_ratio[peak]):.4g}",
+        "core stress ratio there [-]": f"{float(curve.core_ratio[peak.record]):.4g}",
         "volumetric strain at the end [%]": f"{100 * float(curve.volumetric_strain[-1]):.3g}",
         "axial strain reached [%]": f"{100 * float(curve.axial_strain[-1]):.3g}",
     }
@@ -211,7 +218,7 @@ def _pictures(result: Result) -> Iterable[str]:
         f"images of the sector, {seen.contacts.first.size} touching contacts among these.</p>"
     )
     figures = {
-        kind: _figure(pictures.KINDS[kind](seen), caption, kind)
+        kind: _figure(partial(pictures.KINDS[kind], seen), caption, kind)
         for kind, caption in CAPTIONS.items()
         if kind != "membrane-cells" or seen.membrane.polygons
     }
@@ -230,7 +237,7 @@ def _reproduce(result: Result) -> str:
         f"<pre>{escape(commands)}</pre>",
         "<p>On the same machine these versions give the same numbers to the last bit.</p>",
     ]
-    rows = [[name, value] for name, value in _flat(result.info) if name not in ("status", "message")]
+    rows = [[name, value] for name, value in _flat(result.info) if name not in ("status", "message", "warnings")]
     if rows:
         parts += ["<h3>Run</h3>", _table(["", ""], rows)]
     parts += ["<h3>Case file</h3>", f"<pre>{escape(to_toml(result.case))}</pre>"]
@@ -260,9 +267,14 @@ def _shown(value) -> str:
     return f"{value:g}" if isinstance(value, float) and float(f"{value:g}") == value else str(value)
 
 
-def _figure(figure: Figure, caption: str, alt: str) -> str:
+def _figure(make: Callable[[], Figure], caption: str, alt: str) -> str:
+    """A picture, or why there is none: the rest of the page is worth having without it."""
     target = io.BytesIO()
-    figure.savefig(target, dpi=DPI, bbox_inches="tight", format="png")
+    problem = draw_afterwards(
+        f"the picture '{alt}'", lambda: make().savefig(target, dpi=DPI, bbox_inches="tight", format="png")
+    )
+    if problem is not None:
+        return f'<p class="warning">{escape(problem)}</p>'
     image = base64.b64encode(target.getvalue()).decode("ascii")
     return (
         f'<figure><img alt="{escape(alt)}" src="data:image/png;base64,{image}">'

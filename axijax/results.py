@@ -9,8 +9,6 @@ Every file is written whole or not at all.
 
 import csv
 import json
-import os
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from axijax.curve import RECORDS, Curve
+from axijax.folder import draw_afterwards, printable, write_whole
 from axijax.triaxial import TriaxialTest, curve_of
 
 if TYPE_CHECKING:
@@ -34,7 +33,8 @@ LONG_NAMES = {
     "stress_ratio": "stress ratio s1/s3, platen force over the area of the sector of radius Rm",
     "virial_ratio": "stress ratio s1/s3 from platen force and membrane forces, free of any area",
     "core_ratio": "vertical over horizontal Love-Weber stress of the inner core",
-    "volumetric_strain": "volumetric strain of the cylinder of radius Rm, compression positive",
+    "volumetric_strain": "volumetric strain, compression positive",
+    "void_ratio": "voids over solids below the skin of the specimen, counted",
     "coordination_number": "mean number of contacts of a ball",
     "unbalanced_force": "mean resultant over mean contact force",
     "sliding_fraction": "share of the contacts at the Coulomb limit",
@@ -82,20 +82,28 @@ def save_dataset(dataset: "xarray.Dataset", path: Path) -> None:
 
 
 def save_run(folder: Path, name: str, case: str, curve: Curve) -> list[Path]:
-    """Write one run's curve as NetCDF and CSV, with a picture; the case (JSON) and the versions go into the NetCDF."""
+    """Write one run's curve as NetCDF and CSV; the case (JSON) and the versions go into the NetCDF."""
     import jax
 
-    from axijax import plot
-
     attributes = {"title": name, "case": case, "axijax": version("axijax"), "jax": jax.__version__}
-    paths = [folder / f"curve.{kind}" for kind in ("nc", "csv", "png")]
+    paths = [folder / f"curve.{kind}" for kind in ("nc", "csv")]
     save_dataset(curves_dataset({name: curve}, {}, attributes), paths[0])
     heads = [f"{column} [{'-' if UNITS[column] == '1' else UNITS[column]}]" for column in RECORDS]
     rows = zip(*(np.asarray(getattr(curve, column)).tolist() for column in RECORDS), strict=True)
     comment = f"axijax {attributes['axijax']}, {name}: compression positive; curve.nc holds the same with the case"
     save_table(paths[1], heads, [dict(zip(heads, row, strict=True)) for row in rows], comment)
-    plot.save_figure(plot.curve_figure([open_result(paths[0])]), paths[2])
     return paths
+
+
+def draw_curve(folder: Path) -> str | None:
+    """Draw curve.png of the curve.nc in a folder: None, or a sentence that says why it is missing."""
+
+    def draw() -> None:
+        from axijax import plot
+
+        plot.save_figure(plot.curve_figure([open_result(folder / "curve.nc")]), folder / "curve.png")
+
+    return draw_afterwards("curve.png", draw)
 
 
 def save_table(
@@ -112,35 +120,6 @@ def save_table(
             writer.writerows({name: "" if row[name] is None else row[name] for name in columns} for row in rows)
 
     write_whole(path, write)
-
-
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a temporary file beside `path`, then rename it, so that no partial file can look whole."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        write(temporary)
-        temporary.chmod(0o644)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def writable_folder(path: Path) -> Path:
-    """Make a folder for results, and make sure that it can be written before anything is computed.
-
-    Raises ValueError, with the reason, where it cannot.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path):
-            pass
-    except OSError as error:
-        raise ValueError(
-            f"output folder '{path}' cannot be written ({error.strerror}): choose another with --output."
-        ) from None
-    return path
 
 
 @dataclass(frozen=True)
@@ -230,7 +209,7 @@ def open_results(path: str | Path) -> list[Result]:
         return [Result(path, name, curve, "finished", {}) for name, curve in _read_curves(path)]
     if not path.is_dir():
         raise ValueError(f"result '{path}' does not exist: give the folder that `axijax run` made, or its curve.nc.")
-    info = _read_info(path)
+    info = read_info(path)
     # A run that went wrong keeps its curve, faulty end and all, under another name.
     kept = [path / name for name in ("curve.nc", "partial_curve.nc") if (path / name).is_file()]
     if kept:
@@ -252,9 +231,9 @@ def open_results(path: str | Path) -> list[Result]:
     result = Result(path, _name(path), xarray.Dataset(), status, info)
     progress = result.progress
     if progress.records.height.size == 0:
+        way_on = f"go on with `axijax resume {path}`" if info else "its run.json is lost too, so run the case again"
         raise ValueError(
-            f"result '{path}' is {status} and was confined but not sheared, so it has no curve yet: go on with "
-            f"`axijax resume {path}`."
+            f"result '{path}' is {status} and was confined but not sheared, so it has no curve yet: {way_on}."
         )
     curve = curve_of(progress, result.test.axial_strain)
     dataset = curves_dataset({result.name: curve}, {}, {}).isel(run=0, drop=True)
@@ -264,38 +243,73 @@ def open_results(path: str | Path) -> list[Result]:
 
 
 def _name(folder: Path) -> str:
-    return folder.resolve().name
+    return printable(folder.resolve().name)
 
 
-def _read_info(folder: Path) -> dict[str, Any]:
-    path = folder / "run.json"
+def read_info(folder: Path, needed: Sequence[str] = ("status",)) -> dict[str, Any]:
+    """What run.json says, empty where there is none. Raises ValueError where it is damaged, or lacks what is needed."""
+    path = Path(folder) / "run.json"
     if not path.is_file():
         return {}
     try:
-        info = json.loads(path.read_text())
-        known = isinstance(info, dict) and info.get("status") in STATUSES
-    except (OSError, ValueError):
-        known = False
-    if not known:
+        if path.stat().st_size > MOST_BYTES:
+            raise ValueError("too long")
+        info = json.loads(path.read_text(encoding="utf-8"))
+        wrong = "it is no object" if not isinstance(info, dict) else _mistyped(info, needed)
+    except (OSError, ValueError, RecursionError):
+        wrong = "it is no JSON"
+    if wrong:
         raise ValueError(
-            f"result '{folder}': its run.json is damaged or says no status ({', '.join(STATUSES)}); run the case again."
+            f"result '{folder}': its run.json is damaged ({wrong}); run the case again, with --overwrite."
         )
     return info
+
+
+MOST_BYTES = 10**7  # of a run.json; a long one has a few thousand
+
+# What run.json holds, and how each must be.
+INFO: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "status": (lambda v: isinstance(v, str) and v in STATUSES, f"one of {', '.join(STATUSES)}"),
+    "name": (lambda v: isinstance(v, str), "a text"),
+    "message": (lambda v: isinstance(v, str), "a text"),
+    "seconds": (lambda v: _is_number(v) and 0 <= v < 1e12, "a number of seconds"),
+    "axial_strain": (lambda v: _is_number(v) and -1 < v < 1, "a strain"),
+    "resumed": (lambda v: isinstance(v, int) and _is_number(v) and 0 <= v < 10**9, "a whole number"),
+    "snapshots": (lambda v: isinstance(v, int) and _is_number(v) and 0 <= v <= MOST_SNAPSHOTS, "a whole number"),
+}
+MOST_SNAPSHOTS = 100_000
+
+
+def _is_number(value) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _mistyped(info: Mapping[str, Any], needed: Sequence[str]) -> str:
+    """What of run.json is not there, or not what it must be; empty where all is well."""
+    for name, (fits, allowed) in INFO.items():
+        if name not in info and name in needed:
+            return f"'{name}' is missing"
+        if name in info and not fits(info[name]):
+            return f"'{name}' must be {allowed}"
+    return ""
 
 
 def _read_curves(path: Path) -> list[tuple[str, "xarray.Dataset"]]:
     import xarray
 
+    runs: list[tuple[str, xarray.Dataset]] = []
     try:
         with xarray.open_dataset(path, engine="scipy") as file:
             curves = file.load()
         names = [str(name) for name in curves["run"].values]
-        known = all(curves[name].dims == ("run", "record") for name in RECORDS) and curves.sizes["record"] > 0
-    except (OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError):
+        known = all(curves[name].dims == ("run", "record") for name in RECORDS)
+        numbers = [*RECORDS, *(name for name in CONFINEMENT if name in curves)]
+        known = known and all(curves[name].dtype.kind in "fi" for name in numbers)
+        for number, name in enumerate(names if known else ()):
+            run = curves.isel(run=number, drop=True)
+            runs.append((name, run.isel(record=np.isfinite(run.axial_strain.values))))
+    except Exception:  # the readers of SciPy and xarray raise whatever a damaged file leads them to
         known = False
-    if not known:
+    if not known or not runs or not all(run.sizes["record"] for _, run in runs):
         raise ValueError(f"result '{path}' is damaged or no file of curves of axijax (NetCDF): run the case again.")
-    runs = [curves.isel(run=number, drop=True) for number in range(len(names))]
-    return [
-        (name, run.isel(record=np.isfinite(run.axial_strain.values))) for name, run in zip(names, runs, strict=True)
-    ]
+    return runs

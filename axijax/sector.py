@@ -22,8 +22,10 @@ from axijax.vector import Vector
 
 Boundary = Literal["periodic", "rigid"]
 
-# Balls closer to the axis than this fraction of their radius are on it; the angle rule uses it too.
-ON_AXIS = 1e-9
+# A ball whose centre is closer to the axis than this fraction of its radius is on it.
+ON_AXIS = 1e-6
+# Angles closer to a sector plane than this are on it [rad, or parts of a sector].
+ON_PLANE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class Sector:
     """
 
     order: int = setting(
-        4, "number n of sectors in the full cylinder, each of theta in [0, 2*pi/n)", "-", least=1, whole=True
+        4, "number n of sectors in the full cylinder, each of theta in [0, 2*pi/n)", "-", least=1, most=1000, whole=True
     )
     boundary: Boundary = setting(
         "periodic", '"periodic" (images are rotations) or "rigid" (frictionless planes at theta = 0 and 2*pi/n)'
@@ -82,14 +84,14 @@ class Sector:
     def angle_of(self, positions: np.ndarray) -> np.ndarray:
         """Polar angle of positions (3, N) in [0, 2*pi), rounding noise just below 2*pi counted as 0."""
         theta = np.mod(np.arctan2(positions[1], positions[0]), 2 * np.pi)
-        return np.where(2 * np.pi - theta < ON_AXIS, 0.0, theta)
+        return np.where(2 * np.pi - theta < ON_PLANE, 0.0, theta)
 
     def home_image(self, positions: np.ndarray) -> np.ndarray:
         """The image k that brings each ball of positions (3, N) into theta in [0, 2*pi/n); (N,) int.
 
         A ball on the plane theta = 2*pi/n belongs to theta = 0, to within rounding, so that it counts once.
         """
-        turns = np.floor(self.angle_of(positions) / self.angle + ON_AXIS).astype(int)
+        turns = np.floor(self.angle_of(positions) / self.angle + ON_PLANE).astype(int)
         return (-turns) % self.order
 
     def on_axis(self, positions: np.ndarray, radius: np.ndarray | float) -> np.ndarray:
@@ -98,7 +100,7 @@ class Sector:
         Such a ball is its own image. With n = 1, or with rigid planes, no ball is special.
         """
         distance = np.hypot(positions[0], positions[1])
-        return (distance < 1e3 * ON_AXIS * np.asarray(radius)) & (self.images > 1)
+        return (distance < ON_AXIS * np.asarray(radius)) & (self.images > 1)
 
     def weight(self, on_axis: np.ndarray) -> np.ndarray:
         """Share of each ball that belongs to the sector: 1, or 1/n on the axis; (N,) [-]."""

@@ -5,15 +5,15 @@ last bit.
 """
 
 import json
-import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from axijax.case import Case
+from axijax.folder import write_whole
+from axijax.npz import read_npz
 from axijax.packing import Specimen
-from axijax.results import write_whole
 
 NAME = "specimen.npz"
 ARRAYS = ("positions", "radius", "membrane_zone", "bottom", "top", "name", "zone_rule")
@@ -34,25 +34,15 @@ def load_specimen(path: Path, case: Case) -> Specimen:
     """Read the specimen of a case. Raises ValueError where the file is missing, damaged, or of another specimen."""
     remedy = "run the case again"
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in (*ARRAYS, "made_from")}  # the archive checks a checksum of each
-        plain = {name: array.item() if array.ndim == 0 else array for name, array in arrays.items()}
+        arrays = {name: array for name, array in read_npz(path).items() if name in (*ARRAYS, "made_from")}
+        plain: dict[str, Any] = {name: array.item() if array.ndim == 0 else array for name, array in arrays.items()}
         made_from = plain.pop("made_from")
         specimen = Specimen(**plain)
     except FileNotFoundError:
         raise ValueError(
             f"result '{path.parent}' has lost its {path.name}, the balls that were tested: {remedy}."
         ) from None
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        EOFError,
-        zipfile.BadZipFile,
-        NotImplementedError,
-    ):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         raise ValueError(f"result '{path.parent}': its {path.name} is damaged or no specimen: {remedy}.") from None
     if made_from != _made_from(case):
         raise ValueError(

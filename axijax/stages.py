@@ -12,9 +12,10 @@ from axijax.packing import Specimen
 from axijax.params import Params
 from axijax.paths import Isotropic
 from axijax.prepare import Prepared
+from axijax.quantity import senseless
 from axijax.rebuild import rebuilt
 from axijax.state import State
-from axijax.status import NOT_CONFINED
+from axijax.status import NOT_CONFINED, SENSELESS
 
 CONFINE_EVERY = 50  # steps between looks at the balance, and between refreshes of the membrane, in confinement
 
@@ -73,11 +74,11 @@ def _at_rest(scene: Scene, path: Isotropic, lists: Lists, params: Params, platen
 
 
 def start_shear(scene: Scene, params: Params, lists: Lists, confined: State) -> State:
-    """The test's friction on, balls and platens from rest; what a term carried through confinement is kept, such as
-    springs of a frictional one, and what it did not have there starts from nothing."""
+    """The test's friction on, balls and platens from rest; the terms' memory of a confinement is kept where it had the
+    same, as springs of a frictional one, or else starts from nothing."""
     rest = initial_state(scene, params, lists[0], confined.platens)
     memory = tuple(
-        kept if len(jax.tree.leaves(kept)) == len(jax.tree.leaves(new)) else new
+        kept if jax.tree.structure(kept) == jax.tree.structure(new) else new  # type: ignore[operator]
         for kept, new in zip(confined.memory, rest.memory, strict=True)
     )
     return rest._replace(displacement=confined.displacement, memory=memory)
@@ -97,4 +98,7 @@ def simulate(prepared: Prepared, params: Params) -> Curve:
     _, seen, status = march(prepared.scene, prepared.shear, *size, lists, dt, params, start, fixed)
     settled = balance.worst <= prepared.confinement.tolerance
     status = jnp.bitwise_or.reduce(status) | jnp.where(settled, 0, NOT_CONFINED)
+    status |= jnp.where(senseless(params), SENSELESS, 0)
     return make_curve(seen, balance, status)
+
+

@@ -2,17 +2,22 @@
 
 # Bits of the status code that a run carries; `curve.raise_for_status` turns them into sentences.
 NOT_FINITE, NOT_CONFINED, STALE_LIST, STALE_CELLS, ESCAPED, UNSTABLE, FULL_LIST = 1, 2, 4, 8, 16, 32, 256
+SENSELESS = 64
 
 REMEDIES = {
+    SENSELESS: (
+        "a parameter is negative, or zero where it must be positive (stiffnesses, stress, density, platen speed): such "
+        "a test does not exist"
+    ),
     NOT_FINITE: "a position is no longer finite: the run is unstable; lower time_step or check the parameters",
     NOT_CONFINED: "confinement did not reach the stated equilibrium; raise confine_steps or the tolerance",
     STALE_LIST: (
         "two balls together moved by more than the skin of the contact list, so a contact may be missing: "
-        "lower platen_speed or axial_strain, and past 2 % use `run` or rebuild_every"
+        "lower platen_speed or axial_strain, or make the list anew with `run` or rebuild_every"
     ),
     STALE_CELLS: (
-        "the membrane's balls moved past one another: lower platen_speed or axial_strain, and past 2 % use `run` or "
-        "rebuild_every"
+        "the membrane's balls moved past one another: lower platen_speed or axial_strain, or make its cells anew with "
+        "`run` or rebuild_every"
     ),
     FULL_LIST: (
         "a ball has more neighbours, or the membrane more balls, than a list that is made anew inside `simulate` has "
@@ -24,3 +29,12 @@ REMEDIES = {
         "long for these parameters; lower time_step"
     ),
 }
+
+
+def described(status: int) -> str:
+    """What status bits say went wrong and what to do, without a full stop; empty where they are all zero."""
+    if status & NOT_FINITE:  # of which all others are consequences
+        status = NOT_FINITE
+    unknown = status & ~sum(REMEDIES)
+    told = [text for bit, text in REMEDIES.items() if status & bit]
+    return "; ".join([*told, f"for a reason that this program does not know, status {unknown}"] if unknown else told)

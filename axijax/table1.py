@@ -1,17 +1,21 @@
 """Table 1 and figure 4 of Cui & O'Sullivan (2005): seven triaxial tests on the FCC octagon of 1672 balls."""
 
+import threading
 import time
+import warnings
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from axijax import theory
+from axijax.batch import parallel
+from axijax.curve import Peak, find_peak
+from axijax.folder import draw_afterwards
 from axijax.packing import fcc_octagon
 from axijax.params import Params
-from axijax.progress import Run
+from axijax.progress import Progress, Run
 from axijax.results import curves_dataset, save_dataset, save_table
 from axijax.sector import Boundary, Sector
 from axijax.triaxial import TriaxialTest
@@ -20,6 +24,8 @@ COLUMNS = (
     "boundary", "sectors", "friction", "theory", "paper", "peak_ratio", "core_ratio", "virial_ratio",
     "axial_strain_at_peak", "seconds",
 )  # fmt: skip
+
+FILES = ("table1.csv", "curves.nc", "figure_4a.png", "figure_4b.png")
 
 # Where the tests stop; the deformed specimen of figure 4(b) is drawn at 5 %, as in the paper.
 AXIAL_STRAIN, DEFORMED_STRAIN = 0.01, 0.05
@@ -74,22 +80,27 @@ class Row:
     run: Run
     seconds: float
 
+    @property
+    def peak(self) -> Peak:
+        """Of the records up to 1 % axial strain."""
+        curve = self.run.curve
+        early = np.asarray(curve.axial_strain) <= AXIAL_STRAIN
+        return find_peak(np.asarray(curve.axial_strain)[early], np.asarray(curve.stress_ratio)[early])
+
     def values(self) -> dict[str, object]:
         """The row of table1.csv: peaks are maxima over the records up to 1 % axial strain."""
-        curve, paper = self.run.curve, self.paper_run
-        strain = np.asarray(curve.axial_strain)
-        early = strain <= AXIAL_STRAIN
-        peak = int(np.argmax(np.where(early, curve.stress_ratio, -np.inf)))
+        curve, paper, peak = self.run.curve, self.paper_run, self.peak
+        early = np.asarray(curve.axial_strain) <= AXIAL_STRAIN
         return {
             "boundary": paper.boundary,
             "sectors": paper.sectors,
             "friction": paper.friction,
             "theory": round(paper.theory, 6),
             "paper": paper.paper,
-            "peak_ratio": round(float(curve.stress_ratio[peak]), 6),
+            "peak_ratio": round(peak.stress_ratio, 6),
             "core_ratio": round(float(np.max(np.asarray(curve.core_ratio)[early])), 6),
             "virial_ratio": round(float(np.max(np.asarray(curve.virial_ratio)[early])), 6),
-            "axial_strain_at_peak": round(float(strain[peak]), 6),
+            "axial_strain_at_peak": round(peak.axial_strain, 6),
             "seconds": round(self.seconds, 2),
         }
 
@@ -113,30 +124,61 @@ def run_table(
 ) -> list[Row]:
     """Run the tests, longest first, `workers` at a time (one small test keeps one core busy); in the paper's order.
 
-    progress: called with the run, the share done and the stress ratio; finished: with each row as it ends.
+    progress: called with the run, the share done and the stress ratio; finished: with each row as it ends. Ctrl-C, or
+    an exception in either, stops the others at their next 1000 steps.
     """
+
+    stop = threading.Event()
 
     def work(paper_run: PaperRun) -> Row:
         started = time.perf_counter()
         test = make_test(paper_run)
-        run = test.run(
-            progress=lambda now: progress(paper_run, min(now.strain / test.axial_strain, 1.0), now.stress_ratio)
-        )
+
+        def advance(now: Progress) -> None:
+            if stop.is_set():
+                raise _Stopped
+            progress(paper_run, min(now.strain / test.axial_strain, 1.0), now.stress_ratio)
+
+        run = test.run(progress=advance)
         row = Row(paper_run, test, run, time.perf_counter() - started)
         finished(row)
         return row
 
     longest_first = sorted(paper_runs, key=lambda run: (run is not DEFORMED, run.boundary != "full", run.boundary))
-    with ThreadPoolExecutor(workers) as pool:
-        rows = list(pool.map(work, longest_first))
+    rows = []
+    for result in parallel(work, longest_first, workers, stop=stop):
+        if isinstance(result, Exception):
+            raise result
+        rows.append(result)
     return sorted(rows, key=lambda row: paper_runs.index(row.paper_run))
 
 
-def save(rows: Sequence[Row], folder: Path) -> list[Path]:
-    """Write table1.csv, curves.nc, figure_4a.png and figure_4b.png into a folder; the paths written."""
-    from axijax import plot
+class _Stopped(BaseException):
+    """Raised inside a run when the table is given up."""
 
-    paths = [folder / name for name in ("table1.csv", "curves.nc", "figure_4a.png", "figure_4b.png")]
+
+def refuse_to_overwrite(folder: Path) -> None:
+    """Raise ValueError where a folder holds files of the table's names that are not from an earlier table."""
+    there = [name for name in FILES if (folder / name).exists()]
+    if not there:
+        return
+    ours = False
+    if FILES[0] in there:
+        with open(folder / FILES[0], errors="replace") as file:
+            ours = file.readline().strip() == ",".join(COLUMNS)
+    if not ours:
+        raise ValueError(
+            f"output folder '{folder}' holds {', '.join(there)}, which `axijax table1` did not write: choose another "
+            "--output, or move them away."
+        )
+
+
+def save(rows: Sequence[Row], folder: Path) -> list[Path]:
+    """Write table1.csv, curves.nc, figure_4a.png and figure_4b.png into a folder; the paths written.
+
+    The numbers come first, and a figure that cannot be drawn costs a warning.
+    """
+    paths = [folder / name for name in FILES]
     save_table(paths[0], COLUMNS, [row.values() for row in rows])
     labels: dict[str, Sequence] = {
         "boundary": [row.paper_run.boundary for row in rows],
@@ -145,8 +187,21 @@ def save(rows: Sequence[Row], folder: Path) -> list[Path]:
     }
     title = {"title": "Triaxial tests of Cui & O'Sullivan (2005), Table 1", "source": "axijax table1"}
     save_dataset(curves_dataset({row.paper_run.name: row.run.curve for row in rows}, labels, title), paths[1])
-    plot.save_figure(plot.stress_ratio_figure(rows), paths[2])
-    for row in rows:
-        if row.paper_run is DEFORMED:
-            plot.save_figure(plot.deformed_figure(row.test, row.run), paths[3])
+
+    def draw_strengths() -> None:
+        from axijax import plot
+
+        plot.save_figure(plot.stress_ratio_figure(rows), paths[2])
+
+    def draw_deformed() -> None:
+        from axijax import plot
+
+        for row in rows:
+            if row.paper_run is DEFORMED:
+                plot.save_figure(plot.deformed_figure(row.test, row.run), paths[3])
+
+    for path, draw in zip(paths[2:], (draw_strengths, draw_deformed), strict=True):
+        problem = draw_afterwards(path.name, draw)
+        if problem is not None:
+            warnings.warn(problem, stacklevel=2)
     return [path for path in paths if path.exists()]

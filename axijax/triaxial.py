@@ -23,8 +23,8 @@ from axijax.dynamics import Scene
 from axijax.membrane import Load, Membrane
 from axijax.neighbors import Network
 from axijax.packing import Specimen, cut_to_sector
-from axijax.params import Params
-from axijax.platform import warn_where_batched
+from axijax.params import Params, check_params
+from axijax.platform import require_64_bits, warn_where_batched
 from axijax.prepare import Prepared, prepare
 from axijax.progress import Progress, Run, begin, curve_of, go_on
 from axijax.quantity import setting, settings
@@ -62,15 +62,16 @@ class TriaxialTest:
     time_step: float | None = setting(
         None, "length of a step; left out, 0.6 of the critical one; more than 0.8 of it is refused", "T", above=0.0
     )
-    record_every: int = setting(50, "steps between records", "-", least=1, whole=True)
+    record_every: int = setting(50, "steps between records", "-", least=1, most=1e6, whole=True)
     refresh: bool = setting(True, "whether the membrane's cells are found again with every record")
-    confine_steps: int = setting(20_000, "most steps spent on confinement", "-", least=1, whole=True)
+    confine_steps: int = setting(20_000, "most steps spent on confinement", "-", least=1, most=1e9, whole=True)
     tolerance: float = setting(1e-7, "unbalanced force and stress error at which confinement ends", "-", above=0.0)
     rebuild_every: int = setting(
         0,
         "records between which `simulate` rebuilds contact list and membrane during shear, for large strain and for "
         "batches; zero keeps the first. `run` looks when they are worn instead",
         "-",
+        most=1e6,
         whole=True,
     )
     confining_friction: float = setting(
@@ -84,6 +85,7 @@ class TriaxialTest:
     allow_unsafe_step: bool = False
 
     def __post_init__(self) -> None:
+        require_64_bits()
         for name, about in settings(self).items():
             value = getattr(self, name)
             if isinstance(value, bool) and (about.unit or about.whole):
@@ -116,14 +118,19 @@ class TriaxialTest:
         """The whole test as a pure function of its parameters, for jax.jit, jax.vmap and jax.jvp.
 
         For many parameter sets see `axijax.batch.simulate_many`: on a CPU, vmap over parameters is slow, and warned of.
-        One contact list serves the whole test, which is right up to about 2 % strain, unless `rebuild_every` asks for
-        more. Look at `status` of what comes back, or call `raise_for_status`.
+        One contact list serves the whole test, to about 2 % strain of a regular array and less than 1 % of many random
+        balls, unless `rebuild_every` asks for more. Look at `status` of what comes back, or call `raise_for_status`;
+        parameters that make no sense raise ValueError, or set a status bit where they are traced.
         """
+        require_64_bits()
+        check_params(params, len(self.cut))
         return simulate(self.prepared, warn_where_batched(params))
 
     def confine(self, params: Params | None = None) -> tuple[State, Confinement]:
         """The state at the end of confinement, and how well it is balanced."""
-        return confine(self.prepared, self.params if params is None else params)
+        params = self.params if params is None else params
+        check_params(params, len(self.cut))
+        return confine(self.prepared, params)
 
     def run(
         self,
@@ -143,6 +150,7 @@ class TriaxialTest:
         """
         from axijax.checkpoint import save_progress
 
+        require_64_bits()
         if start is not None and params is not None:
             raise ValueError("params: must be left out where a start is given, which brings its own.")
         now = begin(self, self.params if params is None else params) if start is None else start

@@ -16,9 +16,10 @@ import numpy as np
 from calibrate.evaluate import Evaluator
 from calibrate.fit import _prior_rows
 from calibrate.model import Model, RunFailed
-from calibrate.parameters import ParameterSet, Prior, from_coordinate, to_coordinate
-from calibrate.result import Fit, uncertainty
+from calibrate.parameters import ParameterSet, Prior, fittable
+from calibrate.result import Fit
 from calibrate.start import start_by_rule
+from calibrate.verdict import CONVERGED, concluded, weighted_residual
 
 
 def _adam(value_and_gradient: Callable, start: np.ndarray, low, high, learning_rate: float, steps: int, settled: float):
@@ -78,39 +79,22 @@ def fit_by_descent(
     rows, centres = _prior_rows(parameters, priors)
     evaluator.check_count(extra=len(rows))
     low, high = parameters.limits()
-    kept = {}
 
     def value_and_gradient(z):
         tried = evaluator.tangents(z, range(len(parameters)))
         if tried.failed:
             return np.nan, np.full(len(z), np.nan)
-        residual = np.concatenate([(tried.prediction - evaluator.observed) / evaluator.sigma, rows @ z - centres])
+        residual = weighted_residual(evaluator, (rows, centres), z, tried.prediction)
         weighted = np.concatenate([tried.jacobian / evaluator.sigma[:, None], rows])
-        kept[tuple(z.tolist())] = tried, residual, weighted
         return residual @ residual / residual.size, 2 * weighted.T @ residual / residual.size
 
     z = parameters.coordinates(start) if start else start_by_rule(model.simulator, parameters, evaluator.targets)
     best, _, losses = _adam(value_and_gradient, z, low, high, learning_rate, steps, settled)
-    tried, residual, weighted = kept[tuple(best.tolist())]
-    known = all(getattr(target, "sigma_known", True) for target in evaluator.targets)
-    covariance, scatter, warnings = uncertainty(parameters, residual, weighted, known)
-    return Fit(
-        parameters,
-        best,
-        covariance,
-        tried.jacobian,
-        tried.prediction,
-        evaluator.observed,
-        evaluator.sigma,
-        scatter,
-        "converged" if len(losses) < steps else f"stopped: {steps} steps are spent",
-        warnings,
-        tuple(evaluator.targets),
-        replace(model.cost),
-        sum(one.failed is not None for one in evaluator.evaluations),
-        (),
-        tuple(evaluator.evaluations),
-    )
+    status = CONVERGED if len(losses) < steps else f"stopped: {steps} steps are spent"
+    return concluded(
+        evaluator, status, lambda tried: tried.jacobian, start=z, last=best, prior_rows=(rows, centres),
+        tolerance=settled,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -140,10 +124,11 @@ def fit_friction_per_ball(
     model = Model(test, ParameterSet.of(replace(test.params, friction=prior.value), "friction"))
     evaluator = Evaluator(model, targets)
     observed, sigma = jnp.asarray(evaluator.observed), jnp.asarray(evaluator.sigma)
-    centre = to_coordinate("friction", prior.value)
+    friction, _ = fittable(test.params)["friction"]
+    centre = friction.to_coordinate(prior.value)
 
     def loss(z):
-        curve = test.simulate(replace(test.params, friction=from_coordinate("friction", z)))
+        curve = test.simulate(replace(test.params, friction=friction.from_coordinate(z)))
         misfit = (jnp.concatenate([target.predict(curve) for target in targets]) - observed) / sigma
         total = jnp.mean(misfit**2) + jnp.mean(((z - centre) / prior.spread) ** 2)
         return jnp.where(curve.status == 0, total, jnp.nan)
@@ -156,4 +141,4 @@ def fit_friction_per_ball(
 
     start = np.full(len(test.cut), float(centre))
     best, _, losses = _adam(value_and_gradient, start, -20.0, 20.0, learning_rate, steps, settled)
-    return FrictionField(np.asarray(from_coordinate("friction", best)), np.array(losses))
+    return FrictionField(np.asarray(friction.from_coordinate(best)), np.array(losses))

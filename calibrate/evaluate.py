@@ -1,18 +1,17 @@
 """Residuals of a model against targets, every evaluation logged to a file and never paid for twice.
 
-The log is JSON lines: a header that says what is fitted to what, then one line an evaluation. Numbers are written so
-that they read back exactly; a fit that is started again with the same log walks through it without a run.
+A fit that is started again with the same log (see `calibrate.log`) walks through it without a run.
 """
 
-import json
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 
-from calibrate.model import FIELDS, Cost, Model, RunFailed, jacobian_of, stretch_tangent
+from axijax.fingerprint import fingerprint, versions
+from calibrate.log import FitLog, curve_entry, curve_of_entry
+from calibrate.model import Cost, Model, RunFailed, jacobian_of, stretch_tangent
 
 
 @dataclass(frozen=True)
@@ -22,6 +21,7 @@ class Evaluation:
     coordinates: (P,). prediction: (M,), NaN for a failed run. jacobian: (M, D) in coordinates, or None.
     stretch: (M,) derivative to log kn at fixed ks/kn by the strain stretch. curve: the run's fields, None where it
     failed. failed: why, or None. replayed: read from the log, nothing was run.
+    largest_tangent: largest |dR/dz| of the pass over its records, zero without one [-].
     """
 
     coordinates: np.ndarray
@@ -31,6 +31,7 @@ class Evaluation:
     curve: SimpleNamespace | None
     failed: str | None = None
     replayed: bool = False
+    largest_tangent: float = 0.0
 
 
 def half_rise_strain(strain, ratio) -> float:
@@ -78,10 +79,7 @@ class Evaluator:
         self.observed = np.concatenate([target.observed for target in self.targets])
         self.sigma = np.concatenate([target.sigma for target in self.targets])
         self.evaluations: list[Evaluation] = []
-        self._path = None if log is None else Path(log)
-        self._known: dict[tuple, dict] = {}
-        if self._path is not None:
-            self._open(self._path)
+        self._log = None if log is None else FitLog(log, self._identity())
 
     def check_count(self, extra: int = 0) -> None:
         """Raise ValueError where there are fewer numbers (with `extra` priors) than parameters."""
@@ -109,7 +107,7 @@ class Evaluator:
         found: dict[int, Evaluation] = {}
 
         def run(number):
-            known = (tuple(points[number].tolist()), ()) in self._known
+            known = self._log is not None and (tuple(points[number].tolist()), ()) in self._log.known
             return None if known else self.model.run(points[number])
 
         def finished(place, curve):
@@ -128,8 +126,7 @@ class Evaluator:
         return self._evaluate(np.asarray(z, float), tuple(along))
 
     def _evaluate(self, z, along, curve=None) -> Evaluation:
-        key = (tuple(z.tolist()), along)
-        found = self._known.get(key)
+        found = None if self._log is None else self._log.known.get((tuple(z.tolist()), along))
         result = self._restored(z, found) if found else self._fresh(z, along, curve)
         self.evaluations.append(result)
         return result
@@ -137,67 +134,54 @@ class Evaluator:
     def _fresh(self, z, along, curve) -> Evaluation:
         """curve: of a run made before, or the RunFailed that it ended with."""
         start = time.perf_counter()
-        slopes, failed, kept = None, None, None
-        nothing = np.full(self.observed.size, np.nan)
+        tangents = None
         try:
             if along:
                 curve, tangents = self.model.run_with_tangents(z, np.eye(len(z))[list(along)])
-                slopes = np.concatenate([jacobian_of(target, curve, tangents)[1] for target in self.targets])
             else:
                 curve = self.model.run(z) if curve is None else curve
                 if isinstance(curve, RunFailed):
                     raise curve
-            prediction = self.predict(curve)
-            one = stretch_tangent(curve)
-            stretch = np.concatenate([jacobian_of(target, curve, one)[1][:, 0] for target in self.targets])
-            kept = SimpleNamespace(**{name: getattr(curve, name) for name in FIELDS if hasattr(curve, name)})
-            if not np.isfinite(prediction).all():
-                failed = "a target is not finite: the run does not reach its strain"
-            elif slopes is not None and not np.isfinite(slopes).all():
-                failed = "a tangent is not finite; look at the gradient's health"
+            result = self._compared(z, curve, tangents)
         except RunFailed as error:
-            failed = str(error)
-        if failed:
-            prediction, slopes, stretch, kept = nothing, None, nothing, None
-        result = Evaluation(z, prediction, slopes, stretch, kept, failed)
-        self._write(result, along, time.perf_counter() - start)
+            result = self._failure(z, str(error))
+        self._write(result, along, tangents, time.perf_counter() - start)
         return result
 
-    def _header(self) -> dict:
-        parameters = self.model.parameters
-        return {
-            "kind": "header",
-            "names": list(parameters.names),
-            "reference": dict(parameters.reference),
-            "simulator": str(getattr(self.model.simulator, "protocol", type(self.model.simulator).__name__)),
-            "targets": [target.label for target in self.targets],
-            "observed": self.observed.tolist(),
-            "sigma": self.sigma.tolist(),
-        }
+    def _compared(self, z, curve, tangents, replayed: bool = False) -> Evaluation:
+        """A curve and the tangents of D directions, or None, against the targets."""
+        # The same numbers, of the same type, whether they come from a run or from the log.
+        curve = curve_of_entry(curve_entry(curve))
+        slopes, largest = None, 0.0
+        prediction = self.predict(curve)
+        if not np.isfinite(prediction).all():
+            return self._failure(z, "a target is not finite: the run does not reach its strain", replayed)
+        if tangents is not None:
+            tangents = curve_of_entry(curve_entry(tangents))
+            slopes = np.concatenate([jacobian_of(target, curve, tangents)[1] for target in self.targets])
+            largest = largest_tangent(tangents)
+            if not np.isfinite(slopes).all():
+                return self._failure(z, "a tangent is not finite; look at the gradient's health", replayed)
+        one = stretch_tangent(curve)
+        stretch = np.concatenate([jacobian_of(target, curve, one)[1][:, 0] for target in self.targets])
+        return Evaluation(z, prediction, slopes, stretch, curve, None, replayed, largest)
 
-    def _open(self, path: Path) -> None:
-        header = self._header()
-        if not path.exists() or not path.read_text().strip():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(json.dumps(header) + "\n")
-            return
-        for number, line in enumerate(path.read_text().splitlines()):
-            try:
-                entry = json.loads(line)
-            except json.JSONDecodeError:
-                continue  # a line cut short when the program was stopped
-            if number == 0:
-                different = [name for name in header if entry.get(name) != header[name]]
-                if different:
-                    raise ValueError(
-                        f"log {path} belongs to another fit (its {', '.join(different)} differ); name another "
-                        "file or delete it."
-                    )
-            elif not entry["failed"] or "status" in entry["failed"] or "finite" in entry["failed"]:
-                self._known[tuple(entry["z"]), tuple(entry["along"])] = entry
+    def _failure(self, z, why: str, replayed: bool = False) -> Evaluation:
+        nothing = np.full(self.observed.size, np.nan)
+        return Evaluation(z, nothing, None, nothing, None, why, replayed)
 
-    def _write(self, result: Evaluation, along, seconds: float) -> None:
-        if self._path is None:
+    def _identity(self) -> dict[str, str]:
+        """All that decides what an evaluation gives, and the data; where the data were read from does not."""
+        model, parts = self.model, versions()
+        parts |= fingerprint(model.simulator)
+        parts |= fingerprint({"names": model.parameters.names, "hold_time_step": model.hold_time_step}, "fit")
+        for number, target in enumerate(self.targets, 1):
+            name = "data" if len(self.targets) == 1 else f"data.{number}"
+            parts |= {n: part for n, part in fingerprint(target, name).items() if n != f"{name}.source"}
+        return parts
+
+    def _write(self, result: Evaluation, along, tangents, seconds: float) -> None:
+        if self._log is None:
             return
         residual = (result.prediction - self.observed) / self.sigma
         entry = {
@@ -209,27 +193,21 @@ class Evaluator:
             "z": result.coordinates.tolist(),
             "along": list(along),
         }
-        if not result.failed:
-            entry |= {
-                "prediction": result.prediction.tolist(),
-                "jacobian": None if result.jacobian is None else result.jacobian.tolist(),
-                "stretch": result.stretch.tolist(),
-                "curve": {name: values.tolist() for name, values in vars(result.curve).items()},
-            }
-        with self._path.open("a") as file:
-            file.write(json.dumps(entry) + "\n")
+        if result.curve is not None:
+            entry["curve"] = curve_entry(result.curve)
+            entry["tangents"] = None if tangents is None else curve_entry(tangents)
+        self._log.write(entry)
 
     def _restored(self, z, entry) -> Evaluation:
         if entry["failed"]:
-            nothing = np.full(self.observed.size, np.nan)
-            return Evaluation(z, nothing, None, nothing, None, entry["failed"], True)
-        slopes = None if entry["jacobian"] is None else np.array(entry["jacobian"])
-        return Evaluation(
-            z,
-            np.array(entry["prediction"]),
-            slopes,
-            np.array(entry["stretch"]),
-            SimpleNamespace(**{name: np.array(values) for name, values in entry["curve"].items()}),
-            None,
-            True,
-        )
+            return self._failure(z, entry["failed"], replayed=True)
+        tangents = None if entry["tangents"] is None else curve_of_entry(entry["tangents"])
+        return self._compared(z, curve_of_entry(entry["curve"]), tangents, replayed=True)
+
+
+def largest_tangent(tangents) -> float:
+    """Largest |dR/dz| over the records, the root sum of squares of the directions' (D, T) tangents; inf where one is
+    not finite [-]."""
+    slopes = np.nan_to_num(tangents.stress_ratio, nan=np.inf, posinf=np.inf, neginf=np.inf)
+    with np.errstate(over="ignore"):
+        return float(np.sqrt((slopes**2).sum(axis=0)).max())

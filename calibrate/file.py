@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from axijax.folder import draw_afterwards
 from calibrate.fit import fit_parameters
-from calibrate.gradients import gradient
+from calibrate.gradients import Health, gradient
 from calibrate.measured import DataError, MeasuredCurve
 from calibrate.model import Model
 from calibrate.parameters import ParameterSet
@@ -35,11 +36,6 @@ def calibrate_file(
             f"axial_strain = {test.axial_strain:g}: run it farther, or cut the data; if the strains of the file are in "
             "percent, write [%] behind the name of their column."
         )
-    if curve.stress_ratio.argmax() == len(curve) - 1:
-        report(
-            f"note: the data still rise at the last point (R = {curve.stress_ratio[-1]:g}, strain "
-            f"{curve.last_strain:g}): the peak is not in them, so the friction rests on the rise; look at its interval."
-        )
     volume = curve.volumetric_strain
     changed = "none" if volume is None else f"{100 * volume.min():.4g} to {100 * volume.max():.4g} %"
     report(
@@ -53,18 +49,23 @@ def calibrate_file(
     found = fit_parameters(model, curve, names, log=output / "evaluations.jsonl")
     found = replace(found, warnings=looked_wrong + found.warnings)
     found.save(output / "fit.json")
-    found.draw(output / "fit.png")
     report(str(found))
+    problem = draw_afterwards("fit.png", lambda: found.draw(output / "fit.png"))
+    if problem is not None:
+        report(f"warning: {problem}")
+    before = len(found.warnings)
     if check:
         stop = curve.last_strain
         window = WindowMean(0.5 * stop, stop)
         slopes = gradient(model, window, values=found.estimate, steps=(1e-3, 1e-4))
         report(f"gradient of the {window.name} at the answer")
         report(str(slopes))
-        if slopes.health is not None and not slopes.health.healthy:
-            report(
-                "take jacobian='difference' in calibrate.fit_parameters, or fit only the curve below the usable strain."
-            )
+        found = _with_health(found, slopes.health)
+        if found.warnings[before:]:
+            found.save(output / "fit.json")
+            report(f"fit {found.status}")
+        for sentence in found.warnings[before:]:
+            report(f"  warning: {sentence}")
     report(f"written: {output / 'fit.json'}, {output / 'fit.png'}, {output / 'evaluations.jsonl'}")
     return found
 
@@ -78,3 +79,20 @@ def _other_confining_stress(curve: MeasuredCurve, model: Model, file: str) -> tu
         return ()
     warnings.warn(f"{file}: {said}", stacklevel=3)
     return (f"{file}: {said}",)
+
+
+def _with_health(found: Fit, health: Health | None) -> Fit:
+    """The fit with what the health of the gradient at its answer says of it."""
+    if health is None or health.healthy:
+        return found
+    if health.usable_strain > 0:
+        sentence = (
+            f"the tangents agree with differences of the runs only up to strain {health.usable_strain:.2g}: fit the "
+            "data up to there and compare."
+        )
+        return replace(found, warnings=(*found.warnings, sentence))
+    return found.doubted(
+        "the tangents disagree with differences of the runs",
+        "the tangents at the answer disagree with differences of the runs, so where the search came to rest means "
+        "little: cut the data to a shorter strain range, or take jacobian='difference' in calibrate.fit_parameters.",
+    )

@@ -4,11 +4,10 @@ The economical way, the default: single runs, each carried over to the data by s
 little; there one pass with tangents, and after that single runs again, with the tangents kept while the misfit falls
 fast and the stiffness column always fresh and free from the strain stretch (PHYSICS 3.3). The fit stops when the step
 that the linear model still wants is below the tolerance or a tenth of a standard error. A failed run is a rejected
-step.
+step; whether the end may be called converged is for `calibrate.verdict` to say.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -16,9 +15,10 @@ import numpy as np
 
 from calibrate.evaluate import Evaluation, Evaluator
 from calibrate.model import Model, RunFailed
-from calibrate.parameters import ALIASES, ParameterSet, Prior, to_coordinate
+from calibrate.parameters import ParameterSet, Prior
 from calibrate.result import Fit, uncertainty
 from calibrate.start import corrected_by_run, start_by_rule
+from calibrate.verdict import CONVERGED, best_evaluation, concluded, weighted_residual
 
 Jacobian = Literal["economical", "tangent", "difference"]
 DIFFERENCE_STEP = 1e-4  # of the coordinates, for jacobian="difference"
@@ -81,21 +81,21 @@ def fit_parameters(
     first = _first_point(model, evaluator, start, starts, seed)
     search = _Search(evaluator, prior_rows, jacobian, tolerance, max_runs)
     status = search.run(first, by_rule and jacobian == "economical")
-    return search.result(status)
+    return search.result(first, status)
 
 
 def _prior_rows(parameters: ParameterSet, priors):
     """Priors as extra rows: (Q, P) Jacobian and (Q,) centre in coordinates over their spread."""
     rows, centres = [], []
     for name, prior in (priors or {}).items():
-        name = ALIASES.get(name, name)
+        name = parameters.full_name(name)
         if name not in parameters.names:
             raise ValueError(
                 f"a prior is given for '{name}', which is not fitted; fitted are {', '.join(parameters.names)}."
             )
         row = np.eye(len(parameters))[parameters.names.index(name)] / prior.spread
         rows.append(row)
-        centres.append(float(to_coordinate(name, prior.value)) / prior.spread)
+        centres.append(float(parameters.about_of(name).to_coordinate(prior.value)) / prior.spread)
     return np.array(rows).reshape(-1, len(parameters)), np.array(centres)
 
 
@@ -127,7 +127,7 @@ class _Search:
     def __init__(self, evaluator: Evaluator, prior_rows, jacobian: Jacobian, tolerance: float, max_runs: float):
         self.evaluator, self.model = evaluator, evaluator.model
         self.parameters = evaluator.model.parameters
-        self.prior_rows, self.prior_centres = prior_rows
+        self.priors = prior_rows
         self.kind, self.tolerance, self.max_runs = jacobian, tolerance, max_runs
         self.latest: dict[tuple, Evaluation] = {}
         self.kept: np.ndarray | None = None  # (M, P) of the last pass
@@ -160,13 +160,20 @@ class _Search:
             )
         except _Stop as stop:
             return str(stop)
-        return "converged" if found.status > 0 else "stopped: too many steps"
+        if found.status <= 0:
+            return "stopped: too many steps"
+        if self.wanted < SCATTERED:
+            return CONVERGED
+        return (
+            "stopped: no step lowers the misfit further, though the slopes ask for one of "
+            f"{self.wanted:.2g} standard errors"
+        )
 
     def _by_rule(self, first: np.ndarray) -> np.ndarray:
         """Single runs, each carried over to the data by similarity, until that asks for a last small move."""
         for _ in range(RULE_RUNS):
             tried = self._evaluate(first)
-            better = corrected_by_run(self.evaluator, tried, (self.prior_rows, self.prior_centres))
+            better = corrected_by_run(self.evaluator, tried, self.priors)
             if better is None:
                 break
             move, first = np.abs(better - first).max(), better
@@ -175,14 +182,19 @@ class _Search:
         return first
 
     def _sound_start(self, first: np.ndarray) -> np.ndarray:
-        """The start, moved towards the test's own parameters while its run fails."""
+        """The start, moved towards the test's own parameters while its run fails, and at last the best that was run."""
         home = self.parameters.coordinates()
         for share in (0.0, 0.5, 0.8, 1.0):
             z = first + share * (home - first)
             tried = self._evaluate(z, first=True)
             if not tried.failed:
                 return z
-        raise RunFailed(f"no start gives a sound run, not even the test's own parameters: {tried.failed}.")
+        if all(one.failed for one in self.evaluator.evaluations):
+            raise RunFailed(f"no start gives a sound run, not even the test's own parameters: {tried.failed}.")
+        z = best_evaluation(self.evaluator, self.priors).coordinates
+        if self._evaluate(z, first=True).failed:
+            raise _Stop(f"stopped: no start gives sound tangents, not even the test's own parameters: {tried.failed}")
+        return z
 
     def _along(self) -> list[int]:
         """Places of the parameters whose tangents are run; the stretch gives the stiffness in the economical way."""
@@ -202,11 +214,10 @@ class _Search:
         return evaluation
 
     def _weighted(self, z, prediction) -> np.ndarray:
-        residual = (prediction - self.evaluator.observed) / self.evaluator.sigma
-        return np.concatenate([residual, self.prior_rows @ np.asarray(z) - self.prior_centres])
+        return weighted_residual(self.evaluator, self.priors, z, prediction)
 
     def _weighted_slopes(self, slopes) -> np.ndarray:
-        return np.concatenate([slopes / self.evaluator.sigma[:, None], self.prior_rows])
+        return np.concatenate([slopes / self.evaluator.sigma[:, None], self.priors[0]])
 
     def _residual(self, z) -> np.ndarray:
         # NaN at a trial point makes scipy shrink the step and try again, which is what a failed run deserves.
@@ -238,7 +249,7 @@ class _Search:
         misfit = self._explainable(z, slopes, residual)
         if not fresh and misfit > GOOD_PROGRESS * self.kept_misfit:
             if self.wanted < SCATTERED:
-                raise _Stop("converged")
+                raise _Stop(CONVERGED)
             evaluation = self.evaluator.tangents(z, self._along())
             self.latest[tuple(np.asarray(z).tolist())] = evaluation
             if not evaluation.failed:
@@ -260,7 +271,7 @@ class _Search:
         error = np.sqrt(np.diag(covariance))
         self.wanted = float((np.abs(step) / error).max())
         if (np.abs(step) <= np.maximum(self.tolerance, 0.1 * error)).all():
-            raise _Stop("converged")
+            raise _Stop(CONVERGED)
         return float(residual @ residual - left @ left)
 
     def _differences(self, z, evaluation: Evaluation) -> np.ndarray:
@@ -273,38 +284,22 @@ class _Search:
             columns.append((moved.prediction - evaluation.prediction) / h)
         return np.nan_to_num(np.stack(columns, axis=1))
 
-    def result(self, status: str) -> Fit:
-        if self.point is None or self.slopes is None:
-            raise RunFailed(f"the fit ended before its first point was complete: {status}.")
-        evaluation = self.latest[tuple(self.point.tolist())]
-        residual = self._weighted(self.point, evaluation.prediction)
-        covariance, scatter, warnings = uncertainty(
-            self.parameters, residual, self._weighted_slopes(self.slopes), self.sigma_known
-        )
-        low, high = self.parameters.limits()
-        for p, name in enumerate(self.parameters.names):
-            if min(self.point[p] - low[p], high[p] - self.point[p]) < 2 * self.tolerance:
-                warnings += (f"{name} is at its bound; widen the bounds or doubt the data.",)
+    def result(self, start: np.ndarray, status: str) -> Fit:
         notes: tuple[str, ...] = ()
         if self.kind != "difference" and self._along() and self.model.cost.tangent_cost > 0.7:
             notes = (
                 f"a tangent costs {self.model.cost.tangent_cost:.2g} runs here; on smooth runs jacobian='difference' "
                 "is no dearer, what a tangent buys is that scatter between runs does not spoil it.",
             )
-        return Fit(
-            self.parameters,
-            self.point,
-            covariance,
-            self.slopes,
-            evaluation.prediction,
-            self.evaluator.observed,
-            self.evaluator.sigma,
-            scatter,
-            status,
-            warnings,
-            tuple(self.evaluator.targets),
-            replace(self.model.cost),
-            sum(tried.failed is not None for tried in self.evaluator.evaluations),
-            notes,
-            tuple(self.evaluator.evaluations),
-        )
+        return concluded(
+            self.evaluator, status, self._slopes_at, start=start, last=self.point, prior_rows=self.priors,
+            sigma_known=self.sigma_known, tolerance=self.tolerance, notes=notes,
+        )  # fmt: skip
+
+    def _slopes_at(self, evaluation: Evaluation) -> np.ndarray | None:
+        """The Jacobian at the point where the search came to rest, and what is nearest to it elsewhere."""
+        if self.kind == "difference" or (self.point is not None and np.array_equal(evaluation.coordinates, self.point)):
+            return self.slopes
+        if self._along() and evaluation.jacobian is None and self.kept is None:
+            return None
+        return self._assembled(evaluation)

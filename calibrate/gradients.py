@@ -12,13 +12,11 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.model import Model, RunFailed, jacobian_of
-from calibrate.parameters import coordinate_rate
+from calibrate.model import LARGEST, Model, RunFailed, jacobian_of
 
 STEPS = (1e-2, 1e-3, 1e-4)  # h of the sweep, relative to the value (for friction to f(1 - f)): steps in the coordinate
 AGREEMENT = 1e-2  # largest relative disagreement of the target's derivative that counts as agreement
 APART = 0.1  # relative disagreement of the curves' derivatives at which they have parted
-LARGEST = 1e3  # largest |dR/dz|, z the log or logit of the parameter, that is still taken for a physical sensitivity
 SHORTEST = 0.25  # share of the run below which a limited strain range is of no use
 
 RULE = (
@@ -118,7 +116,7 @@ def gradient(
     value, jacobian = jacobian_of(target, curve, tangents)
     shape = (lambda a: a.reshape(())) if value.size == 1 else (lambda a: a)
     physical = model.parameters.values(z)
-    rate = {name: coordinate_rate(name, physical[name]) for name in model.parameters.names}
+    rate = {name: model.parameters.about_of(name).coordinate_rate(physical[name]) for name in model.parameters.names}
     by_coordinate = {name: shape(jacobian[:, p]) for p, name in enumerate(model.parameters.names)}
     health = gradient_health(model, target, z, curve, tangents, jacobian, steps=steps) if check else None
     return Gradient(shape(value), {n: d / rate[n] for n, d in by_coordinate.items()}, by_coordinate, health)
@@ -152,7 +150,7 @@ def gradient_health(model: Model, target, z, curve, tangents, jacobian, *, steps
             scale = max(np.abs(slope).max(), 1e-12 * np.abs(pair[0]).max() / h)  # what rounding alone can make
             gap = np.abs(jacobian[:, p] - slope).max() / scale
             sweep[name][h] = float(gap) if np.isfinite(gap) else np.inf
-            differences[name][h] = slope / coordinate_rate(name, physical[name])
+            differences[name][h] = slope / model.parameters.about_of(name).coordinate_rate(physical[name])
             parted[h] = _parting_strain(
                 strain, tangents.stress_ratio[p], (up.stress_ratio - down.stress_ratio) / (2 * h)
             )

@@ -15,8 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.parameters import ParameterSet, check_used
+from axijax.status import described
+from calibrate.parameters import ParameterSet
 
+LARGEST = 1e3  # largest |dR/dz|, z the log or logit of the parameter, that is still taken for a physical sensitivity
 FIELDS = ("axial_strain", "stress_ratio", "virial_ratio", "core_ratio", "volumetric_strain")
 
 
@@ -60,9 +62,6 @@ class Model:
     ):
         if not isinstance(parameters, ParameterSet):
             parameters = ParameterSet.of(simulator.params, parameters)
-        scene = getattr(simulator, "scene", None)
-        if scene is not None:
-            check_used(parameters.names, scene.contact_law)
         self.simulator, self.parameters, self.hold_time_step = simulator, parameters, hold_time_step
         self.cost = Cost(tangent_cost=tangent_cost)
         self._counting = threading.Lock()  # `run` may be called by several threads
@@ -137,11 +136,10 @@ class Model:
     @staticmethod
     def _sound(fields: Mapping[str, np.ndarray]) -> SimpleNamespace:
         curve = SimpleNamespace(**fields)
-        status = int(curve.status)
-        if status or not np.isfinite(curve.stress_ratio).all():
-            raise RunFailed(
-                f"the run ended with status {status}" + ("" if status else " and a stress ratio that is not finite")
-            )
+        if wrong := described(int(curve.status)):
+            raise RunFailed(f"the run went wrong: {wrong}")
+        if not np.isfinite(curve.stress_ratio).all():
+            raise RunFailed("the run went wrong: its stress ratio is not finite; lower time_step")
         return curve
 
     def measure_tangent_cost(self, coordinates=None, repeats: int = 3) -> float:

@@ -2,17 +2,19 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from axijax.folder import write_whole
 from calibrate.evaluate import Evaluation
 from calibrate.measured import MeasuredCurve
 from calibrate.model import Cost
-from calibrate.parameters import ParameterSet, coordinate_rate, from_coordinate
+from calibrate.parameters import ParameterSet
 
 UNKNOWN = 1.0  # standard error of a log (or logit) from which a parameter counts as not identified: a factor e
+RESOLVED = 1e-8  # standard error of a log (or logit) below which it is rounding, as of data that a run made itself
 ENTANGLED = 0.98  # correlation from which two parameters count as not told apart
 
 
@@ -21,13 +23,15 @@ class Fit:
     """Result of a fit of P parameters to M numbers.
 
     estimate: {name: value}. standard_error: {name: in the value's unit}, linear in the value; interval: {name: (low,
-    high)} of one standard error, made in the log or logit and so always physical.
+    high)} of one standard error, made in the log or logit and so always physical. Both are NaN where they would mean
+    nothing: the fit has not converged, the data do not identify the parameter, or it is below rounding.
     coordinates: (P,). covariance: (P, P) of the coordinates; correlation: (P, P).
     prediction, observed, sigma: (M,) of the targets behind one another; band: (M,) standard error of the prediction
-    that the parameters' covariance makes.
+    that the parameters' covariance makes, NaN where the fit has not converged.
     jacobian: (M, P) in coordinates; where tangents are reused it is that of the last pass.
     scatter: root mean square of (prediction - observed)/sigma over the degrees of freedom [-], NaN without any.
-    status: "converged" or why not. warnings: sentences on identifiability and limits.
+    status: "converged", "not converged: .." where there is a doubt (see `calibrate.verdict`), or "stopped: ..".
+    warnings: sentences on these doubts, identifiability and limits.
     cost: runs, tangent passes and forward equivalents; failed_runs: those rejected.
     evaluations: every one made, in order.
     """
@@ -58,43 +62,56 @@ class Fit:
 
     @property
     def _spread(self) -> np.ndarray:
-        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        """(P,) standard errors of the coordinates, NaN where one would mean nothing."""
+        spread = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return np.where(self.converged & (spread > RESOLVED) & (spread <= UNKNOWN), spread, np.nan)
 
     @property
     def standard_error(self) -> Mapping[str, float]:
-        return {
-            n: float(s * coordinate_rate(n, v)) for (n, v), s in zip(self.estimate.items(), self._spread, strict=True)
-        }
+        rows = zip(self.estimate.items(), self.parameters.about, self._spread, strict=True)
+        return {name: float(s * about.coordinate_rate(value)) for (name, value), about, s in rows}
 
     @property
     def interval(self) -> Mapping[str, tuple[float, float]]:
-        return {
-            n: (float(from_coordinate(n, z - s)), float(from_coordinate(n, z + s)))
-            for n, z, s in zip(self.parameters.names, self.coordinates, self._spread, strict=True)
-        }
+        rows = zip(self.parameters.names, self.parameters.about, self.coordinates, self._spread, strict=True)
+        return {n: (float(each.from_coordinate(z - s)), float(each.from_coordinate(z + s))) for n, each, z, s in rows}
+
+    def _no_error(self, place: int) -> str:
+        """Why a parameter has no standard error."""
+        if not self.converged:
+            return "the fit has not converged"
+        return "not identified by these data" if self.covariance[place, place] > UNKNOWN**2 else "below rounding"
 
     @property
     def correlation(self) -> np.ndarray:
-        spread = np.where(self._spread > 0, self._spread, 1.0)
+        spread = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        spread = np.where(spread > 0, spread, 1.0)
         return self.covariance / np.outer(spread, spread)
 
     @property
     def band(self) -> np.ndarray:
-        return np.sqrt(np.maximum(np.einsum("mp,pq,mq->m", self.jacobian, self.covariance, self.jacobian), 0.0))
+        variance = np.einsum("mp,pq,mq->m", self.jacobian, self.covariance, self.jacobian)
+        return np.sqrt(np.maximum(variance, 0.0)) if self.converged else np.full(self.observed.size, np.nan)
+
+    def doubted(self, words: str, sentence: str) -> "Fit":
+        """The same result, no longer converged for a reason found afterwards, with a warning that says so."""
+        status = f"not converged: {words}" if self.converged else self.status
+        return replace(self, status=status, warnings=(*self.warnings, sentence))
 
     def __str__(self) -> str:
         rows = [f"fit {self.status}"]
         if not np.isnan(self.scatter):
             rows[0] += f"; scatter {self.scatter:.3g} of the stated uncertainty"
-        for name, value in self.estimate.items():
-            low, high = self.interval[name]
+        for place, (name, value) in enumerate(self.estimate.items()):
+            (low, high), error = self.interval[name], self.standard_error[name]
             rows.append(
-                f"  {name} = {value:.6g} +- {self.standard_error[name]:.2g}   "
-                f"(one standard error: {low:.6g} to {high:.6g})"
+                f"  {name} = {value:.6g}   (no standard error: {self._no_error(place)})"
+                if np.isnan(error)
+                else f"  {name} = {value:.6g} +- {error:.2g}   (one standard error: {low:.6g} to {high:.6g})"
             )
-        for i in range(len(self.parameters)):
+        names = self.parameters.names
+        for i in range(len(names) if self.converged else 0):
             for j in range(i):
-                names = self.parameters.names
                 rows.append(f"  correlation of {names[j]} and {names[i]}: {self.correlation[i, j]:+.3f}")
         rows.append(
             f"  cost: {self.cost.runs} runs and {self.cost.passes} passes with {self.cost.tangents} tangents = "
@@ -105,33 +122,28 @@ class Fit:
         return "\n".join(rows)
 
     def save(self, path) -> Path:
-        """Write everything but the targets as JSON; returns the path."""
-        path = Path(path)
-        path.write_text(
-            json.dumps(
-                {
-                    "status": self.status,
-                    "estimate": dict(self.estimate),
-                    "standard_error": dict(self.standard_error),
-                    "interval_one_standard_error": dict(self.interval),
-                    "correlation": self.correlation.tolist(),
-                    "scatter": None if np.isnan(self.scatter) else self.scatter,
-                    "observed": self.observed.tolist(),
-                    "prediction": self.prediction.tolist(),
-                    "band_one_sigma": self.band.tolist(),
-                    "runs": self.cost.runs,
-                    "passes": self.cost.passes,
-                    "tangents": self.cost.tangents,
-                    "forward_equivalents": self.cost.forward_equivalents,
-                    "failed_runs": self.failed_runs,
-                    "warnings": list(self.warnings),
-                    "notes": list(self.notes),
-                },
-                indent=2,
-            )
-            + "\n"
-        )
-        return path
+        """Write everything but the targets as JSON, null for what is not known; returns the path."""
+        told = {
+            "status": self.status,
+            "estimate": dict(self.estimate),
+            "standard_error": dict(self.standard_error),
+            "interval_one_standard_error": dict(self.interval),
+            "correlation": self.correlation.tolist(),
+            "scatter": self.scatter,
+            "observed": self.observed.tolist(),
+            "prediction": self.prediction.tolist(),
+            "band_one_sigma": self.band.tolist(),
+            "runs": self.cost.runs,
+            "passes": self.cost.passes,
+            "tangents": self.cost.tangents,
+            "forward_equivalents": self.cost.forward_equivalents,
+            "failed_runs": self.failed_runs,
+            "warnings": list(self.warnings),
+            "notes": list(self.notes),
+        }
+        text = json.dumps(_without_nan(told), indent=2, allow_nan=False) + "\n"
+        write_whole(Path(path), lambda target: target.write_text(text))
+        return Path(path)
 
     def draw(self, path) -> Path:
         """Write a picture of predicted against observed with the 2-sigma band of the prediction; returns the path."""
@@ -160,7 +172,7 @@ class Fit:
             axes.legend(frameon=False, fontsize="small")
         title = ", ".join(f"{n} = {v:.4g} $\\pm$ {self.standard_error[n]:.1g}" for n, v in self.estimate.items())
         figure.suptitle(title, fontsize="medium")
-        figure.savefig(path, dpi=150)
+        write_whole(path, lambda target: figure.savefig(target, dpi=150))
         return path
 
     def _places(self):
@@ -169,6 +181,15 @@ class Fit:
             stop = start + target.observed.size
             yield target, slice(start, stop)
             start = stop
+
+
+def _without_nan(value):
+    """The same with None for every number that is not finite, which JSON has no word for."""
+    if isinstance(value, dict):
+        return {name: _without_nan(inner) for name, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(inner) for inner in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _panels(target, at: slice):

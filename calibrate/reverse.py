@@ -11,7 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from axijax.folder import write_whole
 from axijax.platform import fast_cpu_kernels_are_on
+from axijax.status import described
 
 
 def refuse_fast_kernels(what: str) -> None:
@@ -71,7 +73,7 @@ class FrictionMap:
             title=f"{title} (sum {self.total:.3f})",
             aspect="equal",
         )
-        figure.savefig(path, dpi=150)
+        write_whole(path, lambda target: figure.savefig(target, dpi=150))
         return path
 
 
@@ -101,6 +103,11 @@ def friction_map(test, functional, friction=None) -> FrictionMap:
     per_ball = jnp.broadcast_to(jnp.asarray(given), (count,))
     step = jax.jit(jax.value_and_grad(number, has_aux=True))
     (value, status), slope = step(per_ball)
-    if int(status) or not np.isfinite(np.asarray(slope)).all():
-        raise RunFailed(f"the run behind the map ended with status {int(status)}, or a sensitivity that is not finite.")
+    if wrong := described(int(status)):
+        raise RunFailed(f"the run behind the map went wrong: {wrong}.")
+    if not np.isfinite(np.asarray(slope)).all():
+        raise RunFailed(
+            "a sensitivity behind the map is not finite: the tangents of so long a run ran away; stop at a smaller "
+            "axial_strain."
+        )
     return FrictionMap(float(value), np.asarray(slope), np.asarray(test.cut.positions), np.asarray(test.cut.radius))

@@ -4,7 +4,6 @@ A pass with a tangent costs more than the run that gives the secant its slope, a
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +11,11 @@ import numpy as np
 from calibrate.evaluate import Evaluator
 from calibrate.measured import ROWE
 from calibrate.model import Model, RunFailed
-from calibrate.parameters import ParameterSet, coordinate_rate
-from calibrate.result import Fit, uncertainty
+from calibrate.parameters import ParameterSet
+from calibrate.result import Fit
 from calibrate.start import start_by_rule
 from calibrate.targets import Datum
+from calibrate.verdict import CONVERGED, concluded
 
 
 def fit_one(
@@ -66,11 +66,12 @@ def fit_one(
     value = parameters.values(z)[name]
     # The slope before there is a secant: Thornton's 4/(1-f)^2 for friction; else a guess that only sets a first step of
     # 5 %.
-    slope = 4 / (1 - value) ** 2 * float(coordinate_rate(name, value)) if name == "friction" else None
+    rate = float(parameters.about_of(name).coordinate_rate(value))
+    slope = 4 / (1 - value) ** 2 * rate if name == "friction" else None
     points, status = [(float(z[0]), error, tried)], "stopped: too many runs"
     while True:
         if abs(error) <= goal and slope is not None and len(points) > 1:
-            status = "converged"
+            status = CONVERGED
             break
         if len(evaluator.evaluations) >= max_runs:
             break
@@ -96,27 +97,9 @@ def fit_one(
         if zb != za and ea != eb:
             slope = (eb - ea) / (zb - za)
         error = ea
-    best = min(points, key=lambda point: abs(point[1]))
+    # A slope that is not known says nothing, and its standard error is told to be unknown.
     jacobian = np.array([[slope if slope else 0.0]])
-    residual = (best[2].prediction - datum.observed) / datum.sigma
-    covariance, scatter, warnings = uncertainty(parameters, residual, jacobian / datum.sigma[:, None], True)
-    return Fit(
-        parameters,
-        np.array([best[0]]),
-        covariance,
-        jacobian,
-        best[2].prediction,
-        datum.observed,
-        datum.sigma,
-        scatter,
-        status,
-        warnings,
-        (datum,),
-        replace(model.cost),
-        sum(tried.failed is not None for tried in evaluator.evaluations),
-        (),
-        tuple(evaluator.evaluations),
-    )
+    return concluded(evaluator, status, lambda best: jacobian, start=z, sigma_known=True)
 
 
 def fit_friction_to_peak(test, datum: Datum | None = None, **options) -> Fit:

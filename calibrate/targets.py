@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 RATIOS = ("stress_ratio", "virial_ratio", "core_ratio")
+BEFORE_END = 0.05  # share of a run's strain, at its end, in which a maximum is no peak: it may still rise
 WINDOW_POINTS = 201  # of the trapezoidal mean over a window
 
 
@@ -31,6 +32,13 @@ def _check_strain(name: str, value: float, low: float = 0.0) -> None:
 def _check_temperature(value: float) -> None:
     if not (np.isfinite(value) and value > 0):
         raise ValueError(f"temperature = {value!r}: must be positive and finite, in units of the stress ratio.")
+
+
+def passed_peak(curve, ratio: str) -> bool:
+    """Whether a finished curve has its largest stress ratio before its end, by more than the last BEFORE_END of its
+    strain; otherwise its maximum is where the run stopped and no peak."""
+    strain = np.asarray(curve.axial_strain)
+    return bool(strain[np.argmax(getattr(curve, ratio))] < strain[-1] - BEFORE_END * (strain[-1] - strain[0]))
 
 
 def _at(curve, strain, field: str):
@@ -56,6 +64,10 @@ class HardPeak:
 
     def __call__(self, curve):
         return jnp.asarray(getattr(curve, self.ratio)).max()
+
+    def passed(self, curve) -> bool:
+        """Whether a finished run has passed its peak."""
+        return passed_peak(curve, self.ratio)
 
 
 @dataclass(frozen=True)
@@ -117,6 +129,10 @@ class SmoothPeak:
         weights = _boltzmann_weights(curve, self.ratio, self.temperature)
         return (weights * getattr(curve, self.ratio)).sum()
 
+    def passed(self, curve) -> bool:
+        """Whether a finished run has passed its peak."""
+        return passed_peak(curve, self.ratio)
+
 
 @dataclass(frozen=True)
 class RatioAt:
@@ -159,6 +175,10 @@ class StrainAtPeak:
 
     def __call__(self, curve):
         return (_boltzmann_weights(curve, self.ratio, self.temperature) * curve.axial_strain).sum()
+
+    def passed(self, curve) -> bool:
+        """Whether a finished run has passed its peak."""
+        return passed_peak(curve, self.ratio)
 
 
 @dataclass(frozen=True)

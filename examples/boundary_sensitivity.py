@@ -44,9 +44,9 @@ def packings(options):
 def sheared(specimen, report, sector, friction, strain) -> dict:
     """Shear one specimen and return what the study keeps of it."""
     import axijax
-    from axijax.rebuild import specimen_now
     from axijax.fabric import contact_statistics, profiles
     from axijax.random_packing import platen_speed
+    from axijax.rebuild import specimen_now
     from axijax.results import RECORDS
 
     params = axijax.Params(friction=friction)
@@ -84,8 +84,8 @@ def sheared(specimen, report, sector, friction, strain) -> dict:
 def work(options) -> None:
     """Make and shear all that is missing and that no other process is at."""
     import axijax
+    from axijax.folder import write_whole
     from axijax.random_packing import random_cylinder
-    from axijax.results import write_whole
 
     axijax.fast_cpu_kernels()
     for size, order, boundary, seed in packings(options):

@@ -64,11 +64,14 @@ def options_of(setting: dict, layers: int) -> dict:
     setting = dict(setting)
     test = {"axial_strain": setting.pop("strain", STRAIN), "tolerance": setting.pop("tolerance", 1e-7)}
     test |= {"record_every": setting.pop("record", 50), "refresh": setting.pop("refresh", True)}
+    params = {"platen_speed": SPEED * setting.pop("speed", 1)}
+    if setting.get("damping") != "local":
+        params["damping_ratio"] = setting.pop("beta", 0.05)
     options = {
         "what": "whole",
         "specimen": {"layers": setting.pop("layers", layers)},
         "order": setting.pop("order", 4),
-        "params": {"platen_speed": SPEED * setting.pop("speed", 1), "damping_ratio": setting.pop("beta", 0.05)},
+        "params": params,
         "share": setting.pop("share", 0.6),
         "test": test,
     }

@@ -25,16 +25,16 @@ import axijax  # noqa: E402
 axijax.fast_cpu_kernels()
 
 from axijax.curve import CHATTER  # noqa: E402
-from axijax.dynamics import mass_per_cube  # noqa: E402
+from axijax.damping import Damping  # noqa: E402
 from axijax.results import save_table  # noqa: E402
 from axijax.status import UNSTABLE  # noqa: E402
 from axijax.time_step import SAFE_STEP, critical_time_step  # noqa: E402
 
 DAMPING = {
-    "local damping 0.7": ("local", 0.0),
-    "dashpots 0.05": ("dashpot", 0.05),
-    "dashpots 0.1": ("dashpot", 0.1),
-    "dashpots 0.3": ("dashpot", 0.3),
+    "local damping 0.7": axijax.LocalDamping(0.7),
+    "dashpots 0.05": axijax.Dashpot(0.05),
+    "dashpots 0.1": axijax.Dashpot(0.1),
+    "dashpots 0.3": axijax.Dashpot(0.3),
 }
 FRICTION = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
 SHARE = (0.4, 0.6, 0.72, 0.78, 0.84, 0.88, 0.92, 0.96, 1.0, 1.05, 1.1, 1.2, 1.4)  # of the computed limit
@@ -44,13 +44,11 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def make_test(damping: str, beta: float, friction: float, **options) -> axijax.TriaxialTest:
+def make_test(damping: Damping, friction: float, **options) -> axijax.TriaxialTest:
     """The quarter, sheared just past its peak."""
-    params = axijax.Params(friction=friction, damping_ratio=beta)
     return axijax.TriaxialTest(
         axijax.fcc_octagon(),
-        scene=axijax.Scene(damping=damping),
-        params=params,
+        params=axijax.Params(friction=friction, damping=damping),
         axial_strain=0.005,
         tolerance=1e-5,
         allow_unsafe_step=True,
@@ -80,19 +78,20 @@ def main() -> None:
     frictions = FRICTION[::5] if options.quick else FRICTION
     shares = SHARE[1::4] if options.quick else SHARE
 
-    first = make_test("dashpot", 0.05, 0.3)
-    unit = float((mass_per_cube(first.params) * first.cut.radius[0] ** 3 / first.params.normal_stiffness) ** 0.5)
+    first = make_test(axijax.Dashpot(0.05), 0.3)
+    mass = first.params.material.mass_per_cube * first.cut.radius[0] ** 3
+    unit = float((mass / first.params.normal_stiffness) ** 0.5)
     limits = {
-        name: critical_time_step(axijax.Scene(damping=kind), axijax.Params(damping_ratio=beta), first.network)
-        for name, (kind, beta) in DAMPING.items()
+        name: critical_time_step(first.scene, axijax.Params(damping=damping), first.network)
+        for name, damping in DAMPING.items()
     }
 
     def reference(friction: float) -> float:
-        return peak_of(make_test("dashpot", 0.05, friction, time_step=0.1 * unit))[0]
+        return peak_of(make_test(axijax.Dashpot(0.05), friction, time_step=0.1 * unit))[0]
 
     def row(name: str, friction: float, share: float) -> dict[str, object]:
         step = share * limits[name]
-        peak, verdict, largest, at_peak = peak_of(make_test(*DAMPING[name], friction, time_step=step))
+        peak, verdict, largest, at_peak = peak_of(make_test(DAMPING[name], friction, time_step=step))
         return {
             "damping": name,
             "friction": friction,

@@ -36,7 +36,7 @@ axijax.fast_cpu_kernels()  # forward mode only, four times as fast; before anyth
 import jax  # noqa: E402
 import numpy as np  # noqa: E402
 
-from axijax.dynamics import Params  # noqa: E402
+from axijax import Params  # noqa: E402
 from axijax.packing import fcc_octagon  # noqa: E402
 from axijax.triaxial import TriaxialTest  # noqa: E402
 from calibrate import MeasuredCurve, Model, ParameterSet, RunFailed, fit_by_descent, fit_parameters  # noqa: E402
@@ -239,7 +239,7 @@ def make_test(specimen: str) -> TriaxialTest:
         confine_steps=6000,
         record_every=20,
     )
-    return replace(test, time_step=0.75 / 0.6 * test.time_step)
+    return replace(test, time_step=0.75 / 0.6 * test.prepared.time_step)
 
 
 def make_problem(label: str, condition: str, models: dict, noise_seed: int) -> Problem:

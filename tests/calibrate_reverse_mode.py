@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from axijax.dynamics import Params
+from axijax import Params
 from axijax.packing import fcc_octagon
 from axijax.triaxial import TriaxialTest
 from calibrate.descent import fit_friction_per_ball

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 
-from axijax.dynamics import Params
+from axijax import Params
 
 
 @dataclass

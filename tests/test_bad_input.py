@@ -2,19 +2,23 @@
 
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 
-from axijax.dynamics import Params, Scene
-from axijax.membrane import build_membrane
+from axijax import Dashpot, Hertz, LocalDamping, Params
+from axijax.curve import SimulationError, raise_for_status
+from axijax.membrane import Load, build_membrane
 from axijax.neighbors import build_network
 from axijax.packing import Specimen, cut_to_sector, fcc_cylinder, fcc_octagon
 from axijax.sector import Sector
+from axijax.status import SENSELESS
 from axijax.time_step import critical_time_step
 from axijax.triaxial import TriaxialTest
 
 NAN = float("nan")
 OCTAGON = fcc_octagon(layers=3, half_width=3)
+CUT = cut_to_sector(OCTAGON, Sector(4))
 
 
 def octagon_with(**changes):
@@ -40,6 +44,10 @@ def triaxial(**options):
     return TriaxialTest(OCTAGON, **options)
 
 
+def loaded(lateral, section=2000.0):
+    return triaxial(lateral_load=Load(lateral, section))
+
+
 def at_angle(degrees, rho):
     return rho * np.cos(np.deg2rad(degrees)), rho * np.sin(np.deg2rad(degrees)), 0.0
 
@@ -59,7 +67,8 @@ CASES = {
     "not a number": (lambda: Sector(True), ["order = True"]),
     "unknown boundary": (lambda: Sector(4, "mirror"), ["boundary = 'mirror'", "'periodic'", "'rigid'"]),
     "rigid half": (lambda: Sector(2, "rigid"), ["order = 2", "rigid"]),
-    "unknown damping": (lambda: Scene(damping="viscous"), ["damping = 'viscous'", "'dashpot'"]),
+    "unknown damping": (lambda: triaxial(params=Params(damping="viscous")), ["damping = 'viscous'", "Dashpot"]),
+    "unknown material": (lambda: triaxial(params=Params("soft")), ["material = 'soft'", "axijax.Linear()"]),
     "negative stiffness": (
         lambda: triaxial(params=Params(normal_stiffness=-1.5)),
         ["normal_stiffness = -1.5", "positive"],
@@ -73,14 +82,28 @@ CASES = {
     "negative stress": (lambda: triaxial(params=Params(confining_stress=-5.0)), ["confining_stress = -5", "positive"]),
     "weightless": (lambda: triaxial(params=Params(density=0.0)), ["density = 0", "positive"]),
     "negative damping": (lambda: triaxial(params=Params(damping_ratio=-0.05)), ["damping_ratio = -0.05"]),
-    "local damping of 1": (lambda: triaxial(params=Params(local_damping=1.0)), ["local_damping = 1", "below 1"]),
+    "local damping of 1": (
+        lambda: triaxial(params=Params(damping=LocalDamping(1.0))),
+        ["local_damping = 1", "below 1"],
+    ),
+    "local damping of nothing": (lambda: Params(local_damping=0.5), ["local_damping = 0.5", "would do nothing"]),
+    "dashpots of nothing": (
+        lambda: replace(Params(damping=None), damping_ratio=0.1),
+        ["damping_ratio = 0.1", "would do nothing"],
+    ),
+    "stiffness of Hertzian balls": (lambda: Params(Hertz(), normal_stiffness=1.0), ["normal_stiffness = 1.0", "Hertz"]),
+    "negative platen friction": (
+        lambda: triaxial(params=Params(platen_friction=-0.3)),
+        ["platen_friction = -0.3", "zero or positive"],
+    ),
     "no speed": (lambda: triaxial(params=Params(platen_speed=0.0)), ["platen_speed = 0", "positive"]),
     "NaN friction": (lambda: triaxial(params=Params(friction=NAN)), ["friction = nan", "finite"]),
     "NaN stiffness": (lambda: triaxial(params=Params(normal_stiffness=NAN)), ["normal_stiffness = nan", "finite"]),
     "NaN stress": (lambda: triaxial(params=Params(confining_stress=NAN)), ["confining_stress = nan", "finite"]),
     "infinite density": (lambda: triaxial(params=Params(density=np.inf)), ["density = inf", "finite"]),
     "words": (lambda: triaxial(params=Params(friction="rough")), ["friction = 'rough'", "number"]),
-    "None": (lambda: triaxial(params=Params(friction=None)), ["friction = None", "number"]),
+    "None": (lambda: triaxial(params=Params(density=None)), ["density = None", "number"]),
+    "no damping ratio": (lambda: triaxial(params=Params(damping=Dashpot(None))), ["damping_ratio = None", "number"]),
     "friction of two balls only": (
         lambda: triaxial(params=Params(friction=np.array([0.1, 0.2]))),
         ["friction", "2", "ball"],
@@ -90,6 +113,33 @@ CASES = {
         ["normal_stiffness", "number"],
     ),
     "bad parameters of a run": (lambda: triaxial().run(Params(friction=-0.1)), ["friction = -0.1", "zero or positive"]),
+    "run with platens that go outward": (
+        lambda: triaxial().run(Params(platen_speed=-0.01)),
+        ["platen_speed = -0.01", "positive, inward"],
+    ),
+    "run with platens that stand still": (
+        lambda: triaxial().run(Params(platen_speed=0.0)),
+        ["platen_speed = 0", "positive, inward"],
+    ),
+    "simulate with platens that go outward": (
+        lambda: triaxial().simulate(Params(platen_speed=-0.01)),
+        ["platen_speed = -0.01", "positive, inward"],
+    ),
+    "simulate with NaN friction": (lambda: triaxial().simulate(Params(friction=NAN)), ["friction = nan", "finite"]),
+    "confine without density": (lambda: triaxial().confine(Params(density=0.0)), ["density = 0", "positive"]),
+    "load of one ball": (lambda: loaded(np.ones(1)), ["lateral", "shape (1,)", f"(2, {len(CUT)})", f"({len(CUT)},)"]),
+    "load in three directions": (lambda: loaded(np.ones((3, len(CUT)))), [f"shape (3, {len(CUT)})"]),
+    "NaN load": (lambda: loaded(CUT.positions[:2] * NAN), ["lateral", "finite"]),
+    "load that pulls": (lambda: loaded(-CUT.positions[:2]), ["lateral", "does not confine", "sign"]),
+    "load of nothing": (lambda: loaded(np.zeros(len(CUT))), ["lateral", "does not confine"]),
+    "negative areas": (lambda: loaded(-np.ones(len(CUT))), ["area of -1", "zero or positive"]),
+    "load on no section": (lambda: loaded(CUT.positions[:2], 0.0), ["section = 0", "positive"]),
+    "load on two sections": (lambda: loaded(CUT.positions[:2], np.ones(2)), ["section = [1. 1.]", "one number"]),
+    "NaN section": (lambda: loaded(CUT.positions[:2], NAN), ["section = nan", "finite"]),
+    "load that is an array": (
+        lambda: triaxial(lateral_load=CUT.positions[:2]),
+        ["lateral_load is a ndarray", "membrane.Load"],
+    ),
     "step too long": (too_long_a_step, ["time_step = ", "critical time step"]),
     "negative step": (lambda: triaxial(time_step=-0.01), ["time_step = -0.01", "positive"]),
     "no step": (lambda: triaxial(time_step=0.0), ["time_step = 0", "positive"]),
@@ -164,4 +214,15 @@ def test_the_longest_step_allowed_is_accepted():
     """The limit in the sentence is the one that is applied."""
     test = triaxial()
     limit = critical_time_step(test.scene, test.params, test.network)
-    assert triaxial(time_step=0.8 * limit).time_step == pytest.approx(0.8 * limit)
+    assert triaxial(time_step=0.8 * limit).prepared.time_step == pytest.approx(0.8 * limit)
+
+
+@pytest.mark.parametrize("field, value", [("platen_speed", -0.01), ("platen_speed", 0.0), ("friction", -0.1)])
+def test_traced_parameters_that_make_no_sense_set_a_status_bit(field, value):
+    """Inside jit a number is not known before the run; `run`, which knows it, refuses it."""
+    test = replace(triaxial(record_every=10), axial_strain=1e-5)
+    simulate = jax.jit(lambda value: test.simulate(replace(test.params, **{field: value})))
+    assert int(simulate(value).status) & SENSELESS
+    assert not int(simulate(getattr(test.params, field)).status) & SENSELESS
+    with pytest.raises(SimulationError, match="a parameter is negative, or zero"):
+        raise_for_status(SENSELESS)

@@ -78,12 +78,27 @@ def run_into(make):
     return arguments
 
 
-def status(value):
-    """Let run.json say another status."""
+def info(**changes):
+    """Let run.json say something else."""
 
     def change(folder):
         path = folder / "run.json"
-        path.write_text(json.dumps({**json.loads(path.read_text()), "status": value, "message": "it went wrong"}))
+        path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+    return change
+
+
+def status(value):
+    return info(status=value, message="it went wrong")
+
+
+def array(name, values):
+    """Another array in the checkpoint, checksum and all."""
+
+    def change(folder):
+        with np.load(folder / "checkpoint.npz") as archive:
+            arrays = {**archive, name: values}
+        np.savez(folder / "checkpoint.npz", **arrays)
 
     return change
 
@@ -108,6 +123,8 @@ def without(name):
 def nothing(folder):
     pass
 
+
+SWEPT = ("friction", "damping_ratio", "local_damping")
 
 # What is given; how; the words that the sentence must hold. Exit code 1, or 2 for the command line itself.
 CASES = {
@@ -149,6 +166,29 @@ CASES = {
         ["half_width", "'fcc'", "specimen_radius"],
     ),
     "test.axial_strain = 70": (run("[test]\naxial_strain = 70"), ["axial_strain = 70", "less than 0.5"]),
+    "half_width = 99999": (run("[specimen]\nhalf_width = 99999"), ["half_width = 99999", "equal to 1001"]),
+    "more balls than anybody has": (
+        run("[specimen]\nhalf_width = 999\nlayers = 9999"),
+        ["9999 layers", "8.3e+09 balls", "200,000"],
+    ),
+    "a cylinder of tiny balls": (
+        run("[specimen]\nkind = 'fcc'\nradius = 0.01"),
+        ["9.1e+09 balls", "200,000", "larger radius"],
+    ),
+    "an integer of 20 digits": (run(f"[test]\nrecord_every = {10**20}"), [f"record_every = {10**20}", "1000000"]),
+    "an integer of 5000 digits": (run(f"[test]\nrecord_every = 1{'0' * 5000}"), ["case.toml", "thousands of digits"]),
+    "a name of 5000 characters": (run(f"[test]\n{'x' * 5000} = 1"), ["test.xxx", "known are"]),
+    "brackets 5000 deep": (run(f"x = {'[' * 5000}"), ["case.toml"]),
+    "friction of 1e-300": (run("[parameters]\nfriction = 1e-300"), ["friction = 1e-300", "1e-30 and 1e+30"]),
+    "platens that take a lifetime": (run("[parameters]\nplaten_speed = 1e-20"), ["steps", "raise platen_speed"]),
+    "a file without an end": (lambda folder, _: ("run", "/dev/zero"), ["/dev/zero", "larger than", "no case file"]),
+    "a sweep of a million million": (
+        lambda folder, _: (
+            "batch",
+            write(folder / "s.toml", "[sweep.parameters]\n" + "\n".join(f"{n} = {[0.1] * 10**4}" for n in SWEPT)),
+        ),
+        ["s.toml", "1,000,000,000,000 tests", "10,000"],
+    ),
     "two mistakes at once": (
         run("[sector]\norder = 0\n[test]\naxial_strain = 2"),
         ["sector.order = 0", "test.axial_strain = 2"],
@@ -261,6 +301,47 @@ CASES = {
     "resume with friction changed": (
         on_a_copy(edited("case.toml", "\nfriction = 0.12278", "\nfriction = 0.2"), "resume", "--axial-strain", "0.02"),
         ["parameters.friction = 0.2", "0.12278"],
+    ),
+    "resume with tolerance changed": (
+        on_a_copy(edited("case.toml", "\ntolerance = 1e-5", "\ntolerance = 1e-6"), "resume", "--axial-strain", "0.02"),
+        ["tolerance", "of another test"],
+    ),
+    "resume with confining_friction changed": (
+        on_a_copy(
+            edited("case.toml", "\n# confining_friction =\n", "\nconfining_friction = 0.1\n"),
+            "resume", "--axial-strain", "0.02",
+        ),
+        ["confining_friction", "of another test"],
+    ),
+    "resume with seconds in words": (on_a_copy(info(seconds="ten"), "resume"), ["'seconds' must be a number"]),
+    "resume with a list for a name": (on_a_copy(info(name=[1]), "resume"), ["'name' must be a text"]),
+    "resume with a strain that is true": (on_a_copy(info(axial_strain=True), "resume"), ["'axial_strain' must be"]),
+    "resume with a strain that is no number": (
+        on_a_copy(info(axial_strain=float("nan")), "resume"),
+        ["'axial_strain' must be a strain"],
+    ),
+    "resume with a million million snapshots": (on_a_copy(info(snapshots=10**12), "resume"), ["'snapshots' must be"]),
+    "resume with a count of 1.5": (on_a_copy(info(resumed=1.5), "resume"), ["'resumed' must be a whole number"]),
+    "check with a status that is a list": (on_a_copy(info(status=["finished"]), "check"), ["'status' must be one of"]),
+    "resume with shapes of another test": (
+        on_a_copy(array("state.velocity.x", np.zeros(5)), "resume", "--axial-strain", "0.02"),
+        ["'state.velocity.x' has shape (5,)"],
+    ),
+    "resume with a contact of a ball that is not": (
+        on_a_copy(array("network.first", np.full(88, 26, np.int32)), "resume", "--axial-strain", "0.02"),
+        ["'network.first' points to what does not exist"],
+    ),
+    "resume with NaN": (
+        on_a_copy(array("state.platens", np.full(2, np.nan)), "resume", "--axial-strain", "0.02"),
+        ["'state.platens' holds numbers that are not finite"],
+    ),
+    "resume with platens beyond each other": (
+        on_a_copy(array("state.platens", np.array([152.0, 1.0])), "resume", "--axial-strain", "0.02"),
+        ["platens are where no shear moves them"],
+    ),
+    "check with whole numbers for places": (
+        on_a_copy(array("network.positions.x", np.arange(26)), "check"),
+        ["'network.positions.x' holds int64 where the test has float64"],
     ),
     "resume with the specimen changed": (
         on_a_copy(edited("case.toml", "layers = 5", "layers = 7"), "resume", "--axial-strain", "0.02"),

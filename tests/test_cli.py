@@ -79,7 +79,7 @@ def test_pictures_are_pictures(saved):
 
 
 def test_a_failed_write_leaves_nothing(tmp_path):
-    from axijax.results import write_whole
+    from axijax.folder import write_whole
 
     def breaks(target):
         target.write_text("half")

@@ -7,16 +7,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from few_balls import PLANE, constant_load, few_balls, jit, no_load, order_of, still, unit_params
+from few_balls import PLANE, SCENE, Pull, constant_load, few_balls, jit, no_load, order_of, still, unit_params
 
-from axijax.confinement import current_load
-from axijax.dynamics import Params, Scene, initial_state, make_step
+from axijax import BackgroundDamping, Dashpot, LocalDamping, Params
+from axijax.dynamics import initial_state, make_step
 from axijax.energy import EnergyBalance, energy_balance, make_ledger_step, open_ledger
+from axijax.engine import current_load
 from axijax.membrane import Load
 from axijax.neighbors import build_network
 from axijax.packing import Specimen, cut_to_sector, fcc_octagon
 from axijax.sector import Sector
-from axijax.shear import platen_ramp, start_shear
+from axijax.stages import start_shear
 from axijax.theory import dashpot_restitution, local_damping_restitution, slide_to_roll
 from axijax.triaxial import TriaxialTest
 from axijax.vector import from_rows
@@ -24,17 +25,17 @@ from axijax.vector import from_rows
 balance_of = jit(energy_balance, static_argnums=0)
 
 
-@partial(jit, static_argnums=(0, 1))
-def advanced(scene, drive, params, network, load, dt, steps, both):
-    step = make_ledger_step(scene, drive)
+@partial(jit, static_argnums=0)
+def advanced(drive, params, network, load, dt, steps, both):
+    step = make_ledger_step(SCENE, drive)
     return jax.lax.fori_loop(0, steps, lambda _, b: step(params, network, load, dt, b), both)
 
 
-def balances(scene, drive, params, network, load, dt, steps, state):
+def balances(drive, params, network, load, dt, steps, state):
     """Last state, first and last balance."""
     start = state, open_ledger()
-    end = advanced(scene, drive, params, network, load, dt, steps, start)
-    first, last = (balance_of(scene, params, network, load, dt, *both) for both in (start, end))
+    end = advanced(drive, params, network, load, dt, steps, start)
+    first, last = (balance_of(SCENE, params, network, load, dt, *both) for both in (start, end))
     return end[0], first, last
 
 
@@ -45,37 +46,35 @@ def spent(start: EnergyBalance, end: EnergyBalance) -> EnergyBalance:
 # Each term on its own.
 
 
-@pytest.mark.parametrize("damping", ["dashpot", "local", "background"])
+@pytest.mark.parametrize("damping", [Dashpot(0.1), LocalDamping(0.4), BackgroundDamping(0.3)])
 def test_damping_takes_what_the_motion_loses(damping):
     """Normal impact of two balls along z, m v^2/4 (1 - e^2) with e of the closed form; mass-proportional drag of a
     free ball, m v^2/2 (1 - exp(-2 c t))."""
-    scene = Scene(friction=False, damping=damping)
+    params = unit_params(friction=None, damping=damping)
     v, dt = 0.01, 2e-3
-    if damping == "background":
-        params = unit_params(background_damping=0.3)
-        network, state = few_balls(scene, [[0.0], [0.0], [0.0]], [[v], [0.5 * v], [-v]])
+    if isinstance(damping, BackgroundDamping):
+        network, state = few_balls(params, [[0.0], [0.0], [0.0]], [[v], [0.5 * v], [-v]])
         duration, expected = 2.0, 0.5 * 2.25 * v**2 * -np.expm1(-2 * 0.3 * 2.0)
     else:
-        params = unit_params(damping_ratio=0.1, local_damping=0.4)
-        network, state = few_balls(scene, [[0, 0], [0, 0], [0, 2 + 0.1 * v]], [[0, 0], [0, 0], [v / 2, -v / 2]])
-        e = float(dashpot_restitution(0.1) if damping == "dashpot" else local_damping_restitution(0.4))
+        network, state = few_balls(params, [[0, 0], [0, 0], [0, 2 + 0.1 * v]], [[0, 0], [0, 0], [v / 2, -v / 2]])
+        e = float(dashpot_restitution(0.1) if isinstance(damping, Dashpot) else local_damping_restitution(0.4))
         duration, expected = 4.0, 0.25 * v**2 * (1 - e**2)
-    _, start, end = balances(scene, still, params, network, no_load(network), dt, round(duration / dt), state)
+    _, start, end = balances(still, params, network, no_load(network), dt, round(duration / dt), state)
     change = spent(start, end)
     assert change.damping == pytest.approx(expected, rel=2e-3)
     assert abs(change.unaccounted) < 1e-5 * expected
-    assert change.friction == change.platen_work == change.lateral_work == 0
+    assert change.friction == change.platen_work == change.lateral_work == change.other_work == 0
 
 
 def test_friction_takes_a_seventh_of_m_v_squared_until_the_ball_rolls():
     """A ball sent off sliding at v0 on a plane loses m v0^2 / 7, all of it to friction."""
-    scene, v0, gravity, f = Scene(damping="none"), 0.1, 1e-3, 0.3
+    v0, gravity, f = 0.1, 1e-3, 0.3
     params = unit_params(friction=f)
     place = [[0.0, PLANE + 1 - gravity], [0, 0], [0, 0]]
-    network, state = few_balls(scene, place, [[0, 0], [0, v0], [0, 0]], radius=np.array([PLANE, 1.0]))
+    network, state = few_balls(params, place, [[0, 0], [0, v0], [0, 0]], radius=np.array([PLANE, 1.0]))
     load = constant_load([[0, -gravity], [0, 0]])
     duration = 1.2 * float(slide_to_roll(v0, f, gravity)[0])
-    _, start, end = balances(scene, still, params, network, load, 0.05, round(duration / 0.05), state)
+    _, start, end = balances(still, params, network, load, 0.05, round(duration / 0.05), state)
     change = spent(start, end)
     assert change.friction == pytest.approx(v0**2 / 7, rel=2e-4)
     assert abs(change.unaccounted) < 1e-6 * v0**2
@@ -84,10 +83,10 @@ def test_friction_takes_a_seventh_of_m_v_squared_until_the_ball_rolls():
 
 def test_lateral_load_does_force_times_way():
     """A constant force, and the membrane's on a fixed area: s3 A times the way towards the axis."""
-    scene, params = Scene(friction=False, damping="none"), unit_params(confining_stress=0.5)
-    network, state = few_balls(scene, [[30.0], [40.0], [0.0]], [[0.0], [0.0], [0.1]])
+    params = unit_params(friction=None, confining_stress=0.5)
+    network, state = few_balls(params, [[30.0], [40.0], [0.0]], [[0.0], [0.0], [0.1]])
     for load, force in ((Load(jnp.array([2e-3]), jnp.ones(())), 1e-3), (constant_load([[2e-3], [0.0]]), 1e-3)):
-        after, start, end = balances(scene, still, params, network, load, 0.1, 500, state)
+        after, start, end = balances(still, params, network, load, 0.1, 500, state)
         change = spent(start, end)
         # The work is counted to half a step before the last positions.
         way = np.asarray(after.displacement)[:, 0] - 0.05 * np.asarray(after.velocity)[:, 0]
@@ -99,27 +98,26 @@ def test_lateral_load_does_force_times_way():
 # The balance.
 
 
-def closing(params, state, dt, push, section):
+def closing(params, network, dt, state, push, section):
     """Both platens move inward at the platen speed."""
     return jnp.array([1.0, -1.0]) * params.platen_speed
 
 
-@pytest.mark.parametrize("damping", ["dashpot", "local", "background", "none"])
-@pytest.mark.parametrize("friction", [True, False])
+@pytest.mark.parametrize("damping", [Dashpot(0.1), LocalDamping(0.5), BackgroundDamping(0.05), None])
+@pytest.mark.parametrize("friction", [0.3, None])
 def test_closes_to_rounding_while_contacts_neither_open_nor_turn(damping, friction):
     """Two balls one on the other, squeezed by the platens at a step of a third of the critical one: no term is an
     estimate. The spins about z leave springs and cap out of it but count as kinetic energy that drag takes."""
-    scene = Scene(friction=friction, damping=damping)
-    params = unit_params(damping_ratio=0.1, local_damping=0.5, background_damping=0.05, platen_speed=1e-3)
+    params = unit_params(friction=friction, damping=damping, platen_speed=1e-3)
     place = [[0, 0], [0, 0], [0.98, 2.94]]
     velocity, spin = [[0, 0], [0, 0], [0, 0.01]], [[0, 0], [0, 0], [0.1, -0.2]]
-    network, state = few_balls(scene, place, velocity, spin, platens=(0, 3.92))
-    after, start, end = balances(scene, closing, params, network, no_load(network), 0.3, 100, state)
+    network, state = few_balls(params, place, velocity, spin, platens=(0, 3.92))
+    after, start, end = balances(closing, params, network, no_load(network), 0.3, 100, state)
     change = spent(start, end)
     assert float(after.platens[1] - after.platens[0]) == pytest.approx(3.92 - 0.06)
     assert change.platen_work > 1e-3
     assert change.friction < 1e-30
-    assert (change.damping > 1e-6) == (damping != "none")
+    assert (change.damping > 1e-6) == (damping is not None)
     assert abs(change.unaccounted) < 1e-12 * change.platen_work
 
 
@@ -131,7 +129,7 @@ def pressed_octagon(sector):
     return replace(octagon, positions=positions, bottom=-half, top=half)
 
 
-def lively(specimen, sector, scene, seed=0):
+def lively(specimen, sector, params, seed=0):
     """Contact list and a state with random velocities and spins, the same for the turned copies of a ball."""
     network = build_network(specimen, sector)
     place = specimen.positions
@@ -145,13 +143,14 @@ def lively(specimen, sector, scene, seed=0):
     velocity = np.stack([radial * unit[0] - around * unit[1], radial * unit[1] + around * unit[0], up])
     along, across, about = 0.01 * np.sin(pattern[3:] @ shape * 2)
     spin = np.stack([along * unit[0] - across * unit[1], along * unit[1] + across * unit[0], about])
-    state = initial_state(network, scene, jnp.array([specimen.bottom, specimen.top]))
-    state = state._replace(velocity=from_rows(velocity), spin=from_rows(spin) if scene.spins else None)
+    state = initial_state(SCENE, params, network, [specimen.bottom, specimen.top])
+    state = state._replace(velocity=from_rows(velocity), spin=from_rows(spin))
     areas = np.where(specimen.membrane_zone, 1.0 + 0.1 * place[2], 0.0)
     return network, state, Load(jnp.asarray(areas), jnp.ones(()))
 
 
-LIVELY = {"confining_stress": 0.02, "damping_ratio": 0.1, "local_damping": 0.3, "platen_speed": 0.003}
+LIVELY = {"confining_stress": 0.02, "platen_speed": 0.003}
+DASHPOT, LOCAL = Dashpot(0.1), LocalDamping(0.3)
 
 
 def stack_on_a_pair(sector):
@@ -165,21 +164,21 @@ def stack_on_a_pair(sector):
 @pytest.mark.parametrize(
     "made, damping, orders",
     [
-        (stack_on_a_pair, "dashpot", (1, 2)),
-        pytest.param(stack_on_a_pair, "local", (1, 2), marks=pytest.mark.slow),
-        pytest.param(pressed_octagon, "dashpot", (1, 4), marks=pytest.mark.slow),
-        pytest.param(pressed_octagon, "local", (1, 2, 4), marks=pytest.mark.slow),
+        (stack_on_a_pair, DASHPOT, (1, 2)),
+        pytest.param(stack_on_a_pair, LOCAL, (1, 2), marks=pytest.mark.slow),
+        pytest.param(pressed_octagon, DASHPOT, (1, 4), marks=pytest.mark.slow),
+        pytest.param(pressed_octagon, LOCAL, (1, 2, 4), marks=pytest.mark.slow),
     ],
 )
 def test_a_sectors_terms_are_its_share_of_the_full_cylinders(made, damping, orders):
     """Balls on the axis, contacts among them, across the planes and with own images: each counts as what belongs to the
     sector."""
-    scene, params = Scene(damping=damping), unit_params(**LIVELY)
+    params = unit_params(**LIVELY, damping=damping, terms=(Pull(-1e-3),))
 
     def terms(order):
         sector = Sector(order)
-        network, state, load = lively(made(sector), sector, scene)
-        _, start, end = balances(scene, closing, params, network, load, 0.1, 60, state)
+        network, state, load = lively(made(sector), sector, params)
+        _, start, end = balances(closing, params, network, load, 0.1, 60, state)
         return order * np.array(start), order * np.array(spent(start, end))
 
     (start, change), *others = (terms(order) for order in orders)
@@ -191,21 +190,21 @@ def test_a_sectors_terms_are_its_share_of_the_full_cylinders(made, damping, orde
 
 
 @pytest.mark.parametrize("boundary", ["periodic", "rigid"])
-@pytest.mark.parametrize("damping", ["dashpot", "none"])
+@pytest.mark.parametrize("damping", [DASHPOT, None])
 def test_balance_error_of_violent_motion_falls_with_the_step(boundary, damping):
     """Balls that collide, slide, spin and part: near second order, for the planes of contacts turn little in a step.
     The worst of many moments, as the error changes its sign."""
-    scene, params = Scene(damping=damping), unit_params(**LIVELY)
+    params = unit_params(**LIVELY, damping=damping)
     sector = Sector(4, boundary)
-    network, state, load = lively(pressed_octagon(sector), sector, scene)
+    network, state, load = lively(pressed_octagon(sector), sector, params)
     steps = 0.2 / 2.0 ** np.arange(5)
     errors = []
     for dt in steps:
         both = state, open_ledger()
-        start, worst = balance_of(scene, params, network, load, dt, *both), 0.0
+        start, worst = balance_of(SCENE, params, network, load, dt, *both), 0.0
         for _ in range(20):
-            both = advanced(scene, closing, params, network, load, dt, round(0.6 / dt), both)
-            change = spent(start, balance_of(scene, params, network, load, dt, *both))
+            both = advanced(closing, params, network, load, dt, round(0.6 / dt), both)
+            change = spent(start, balance_of(SCENE, params, network, load, dt, *both))
             worst = max(worst, abs(change.unaccounted))
         errors.append(worst / max(map(abs, change)))
         assert change.friction > 0
@@ -213,11 +212,11 @@ def test_balance_error_of_violent_motion_falls_with_the_step(boundary, damping):
     assert order_of(steps, errors) > 1.5
 
 
-@pytest.mark.parametrize("friction", [True, False])
+@pytest.mark.parametrize("friction", [0.2, None])
 def test_order_of_the_balance_error_of_a_glancing_impact(friction):
     """Normal springs alone close to second order; a frictional contact measures its slip in the plane at the end of a
     step, so that it is first order in how far the plane turns. Largest error over where in a step contact begins."""
-    scene, params = Scene(friction=friction, damping="none"), unit_params(friction=0.2)
+    params = unit_params(friction=friction)
     steps = 0.1 / 2.0 ** np.arange(4)
     errors = []
     for dt in steps:
@@ -225,22 +224,22 @@ def test_order_of_the_balance_error_of_a_glancing_impact(friction):
         for phase in np.linspace(0, 1, 7)[:-1]:
             gap = 1e-3 + 0.1 * phase * dt
             place, velocity = [[0, 2 + gap], [0, 0], [0, 0]], [[0, -0.1], [0, 0.1], [0, 0.02]]
-            network, state = few_balls(scene, place, velocity, spin=[[0.1, 0], [0, 0.05], [0, 0]])
-            _, start, end = balances(scene, still, params, network, no_load(network), dt, round(4 / dt), state)
+            network, state = few_balls(params, place, velocity, spin=[[0.1, 0], [0, 0.05], [0, 0]])
+            _, start, end = balances(still, params, network, no_load(network), dt, round(4 / dt), state)
             assert float(end.normal_springs) == 0, "they have parted"
             worst = max(worst, abs(spent(start, end).unaccounted))
         errors.append(worst)
     order = order_of(steps, errors)
-    assert order > 0.9 if friction else order == pytest.approx(2.0, abs=0.2)
+    assert order > 0.9 if friction is not None else order == pytest.approx(2.0, abs=0.2)
 
 
 def test_the_ledger_does_not_touch_the_motion():
     """The state with a ledger is the state without one."""
-    scene, params, sector = Scene(), unit_params(**LIVELY), Sector(4)
-    network, state, load = lively(pressed_octagon(sector), sector, scene)
-    step = make_step(scene, closing)
+    params, sector = unit_params(**LIVELY, damping=DASHPOT), Sector(4)
+    network, state, load = lively(pressed_octagon(sector), sector, params)
+    step = make_step(SCENE, closing)
     plain = jit(lambda s: jax.lax.fori_loop(0, 100, lambda _, s: step(params, network, load, 0.1, s), s))(state)
-    kept, *_ = balances(scene, closing, params, network, load, 0.1, 100, state)
+    kept, *_ = balances(closing, params, network, load, 0.1, 100, state)
     for a, b in zip(jax.tree.leaves(plain), jax.tree.leaves(kept), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-13)
 
@@ -248,23 +247,23 @@ def test_the_ledger_does_not_touch_the_motion():
 # A whole test.
 
 
-def sheared(test: TriaxialTest, fraction: float, scene: Scene):
+def sheared(test: TriaxialTest, fraction: float):
     """Balances (T,) over the shear at this fraction of the default step, the membrane refreshed as in the test."""
     confined, _ = test.confine()
-    network, membrane, params, dt = test.network, test.membrane, test.params, fraction * test.time_step
-    step = make_ledger_step(scene, platen_ramp(test.ramp_time))
-    blocks, block_steps = test.protocol.blocks, round(test.record_every / fraction)
+    network, membrane, params, dt = test.network, test.membrane, test.params, fraction * test.prepared.time_step
+    step = make_ledger_step(test.scene, test.prepared.shear.platen_speeds)
+    blocks, block_steps = test.prepared.numerics.records, round(test.record_every / fraction)
 
     @jax.jit
     def shear(state):
         def block(both, _):
             load = current_load(membrane, network, both[0])
-            seen = energy_balance(scene, params, network, load, dt, *both)
+            seen = energy_balance(test.scene, params, network, load, dt, *both)
             return jax.lax.fori_loop(0, block_steps, lambda _, b: step(params, network, load, dt, b), both), seen
 
         return jax.lax.scan(block, (state, open_ledger()), None, length=blocks)[1]
 
-    return jax.tree.map(np.asarray, shear(start_shear(scene, network, confined)))
+    return jax.tree.map(np.asarray, shear(start_shear(test.scene, params, test.prepared.lists, confined)))
 
 
 @pytest.mark.slow
@@ -274,7 +273,7 @@ def test_whole_test_closes_to_a_millionth_of_the_platen_work(friction):
     test = TriaxialTest(fcc_octagon(), axial_strain=0.01, params=Params(friction=friction))
     errors = []
     for fraction in (1.0, 0.5, 0.25):
-        seen = sheared(test, fraction, test.scene)
+        seen = sheared(test, fraction)
         error = np.abs(seen.unaccounted - seen.unaccounted[0])
         errors.append(error.max() / seen.platen_work[-1])
         assert (error[1:] < 1e-6 * seen.platen_work[1:]).all(), "at every moment of the test"
@@ -286,7 +285,7 @@ def test_whole_test_closes_to_a_millionth_of_the_platen_work(friction):
 @pytest.mark.slow
 def test_whole_test_with_local_damping_closes():
     """Local damping takes the more the faster the motion; its share too is accounted for."""
-    test = TriaxialTest(fcc_octagon(), axial_strain=0.005, params=Params(friction=0.3), scene=Scene(damping="local"))
-    seen = sheared(test, 1.0, test.scene)
+    test = TriaxialTest(fcc_octagon(), axial_strain=0.005, params=Params(friction=0.3, damping=LocalDamping(0.7)))
+    seen = sheared(test, 1.0)
     error = np.abs(seen.unaccounted - seen.unaccounted[0])
     assert (error[1:] < 1e-6 * seen.platen_work[1:]).all()

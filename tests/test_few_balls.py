@@ -11,8 +11,8 @@ import pytest
 from few_balls import FAR, PLANE, constant_load, few_balls, jit, no_load, order_of, record, run, unit_params
 from scipy.spatial.transform import Rotation
 
-from axijax.contact import Law, contact_forces
-from axijax.dynamics import Scene
+from axijax import Dashpot, LocalDamping
+from axijax.contacts import Law, contact_forces
 from axijax.theory import (
     dashpot_duration,
     dashpot_restitution,
@@ -26,25 +26,27 @@ from axijax.theory import (
 )
 from axijax.vector import from_rows, zeros
 
-UNDAMPED = Scene(damping="none")
-DASHPOTS = Scene(damping="dashpot")
 SPEED = 1e-3
 
 
-def against_plane(scene, normal_speed, tangential_speed=0.0, spin=0.0, gap=1e-4):
+def dashpots(beta):
+    return Dashpot(beta) if beta else None
+
+
+def against_plane(params, normal_speed, tangential_speed=0.0, spin=0.0, gap=1e-4):
     """A ball that flies at a plane whose normal is x, tangentially along y, spinning about z."""
     place = [[0.0, PLANE + 1 + gap], [0, 0], [0, 0]]
     velocity = [[0, -normal_speed], [0, tangential_speed], [0, 0]]
-    return few_balls(scene, place, velocity, [[0, 0], [0, 0], [0, spin]], radius=np.array([PLANE, 1.0]))
+    return few_balls(params, place, velocity, [[0, 0], [0, 0], [0, spin]], radius=np.array([PLANE, 1.0]))
 
 
-def after_impact(scene, params, dt, time, **how):
+def after_impact(params, dt, time, **how):
     """(normal speed away from the plane, tangential speed, spin) of a ball after its impact on a plane."""
-    network, state = against_plane(scene, SPEED, **how)
-    state = run(scene, params, network, no_load(network), dt, round(time / dt), state)
+    network, state = against_plane(params, SPEED, **how)
+    state = run(params, network, no_load(network), dt, round(time / dt), state)
     _, _, overlap = overlaps(network, state)
     assert overlap[0] < 0, "the impact must be over"
-    return float(state.velocity.x[1]), float(state.velocity.y[1]), float(state.spin.z[1]) if scene.spins else 0.0
+    return float(state.velocity.x[1]), float(state.velocity.y[1]), 0.0 if state.spin is None else float(state.spin.z[1])
 
 
 def overlaps(network, state):
@@ -65,13 +67,13 @@ def overlaps(network, state):
 @pytest.mark.parametrize("radius", [1.0, 2.0])
 def test_normal_impact_lasts_and_presses_as_the_closed_form_says(radius):
     """Two balls, the second of radius 1 or 2: time in contact, greatest overlap, speed restored."""
-    scene, params, dt = Scene(friction=False, damping="none"), unit_params(), 5e-3
+    params, dt = unit_params(friction=None), 5e-3
     gap = 1.234e-4
     network, state = few_balls(
-        scene, [[0, 1 + radius + gap], [0, 0], [0, 0]], [[0, -SPEED], [0, 0], [0, 0]], radius=np.array([1.0, radius])
+        params, [[0, 1 + radius + gap], [0, 0], [0, 0]], [[0, -SPEED], [0, 0], [0, 0]], radius=np.array([1.0, radius])
     )
     reduced = radius**3 / (1 + radius**3)
-    states = record(scene, params, network, no_load(network), dt, state, 1200)
+    states = record(params, network, no_load(network), dt, state, 1200)
     overlap = overlaps(network, states)[2][:, 0]
     closing = np.asarray(states.velocity.x[:, 0] - states.velocity.x[:, 1])
     assert overlap.max() == pytest.approx(float(impact_maximum_overlap(SPEED, reduced, 1.0)), rel=1e-4)
@@ -86,7 +88,7 @@ def test_normal_impact_lasts_and_presses_as_the_closed_form_says(radius):
 PHASES = (np.arange(8) + 0.5) / 8
 
 
-def impacts_at_all_phases(scene, params, dt, duration):
+def impacts_at_all_phases(params, dt, duration):
     """Speeds restored (8,) and largest overlaps (8,), over what is expected without damping, of pairs that meet at
     eight places within a step."""
     count = PHASES.size
@@ -94,8 +96,8 @@ def impacts_at_all_phases(scene, params, dt, duration):
     nought, up = np.zeros(count), 10.0 * np.arange(count)
     place = [np.append(2 + gap, nought), np.zeros(2 * count), np.append(up, up)]
     velocity = [np.append(nought - SPEED, nought), np.zeros(2 * count), np.zeros(2 * count)]
-    network, state = few_balls(scene, place, velocity)
-    states = record(scene, params, network, no_load(network), dt, state, round((duration + 4 * dt) / dt))
+    network, state = few_balls(params, place, velocity)
+    states = record(params, network, no_load(network), dt, state, round((duration + 4 * dt) / dt))
     speed = np.asarray(states.velocity.x[-1])
     largest = overlaps(network, states)[2].max(axis=0)
     return (speed[:count] - speed[count:]) / SPEED, largest / float(impact_maximum_overlap(SPEED, 0.5, 1.0))
@@ -105,44 +107,44 @@ def impacts_at_all_phases(scene, params, dt, duration):
 def test_dashpots_that_never_pull_restore_the_closed_form(beta):
     """Restitution and time pressed with dashpots clamped at zero force. A dashpot's force jumps to c v in the midst of
     a step, so the worst error falls at first order; the mean over where the contact begins is nearer."""
-    scene, params = Scene(friction=False), unit_params(damping_ratio=beta)
+    params = unit_params(friction=None, damping=Dashpot(beta))
     duration = float(dashpot_duration(beta, 0.5, 1.0))
     steps = duration / (np.array([100, 200, 400]) + 0.5)
     errors = []
     for dt in steps:
-        restored, _ = impacts_at_all_phases(scene, params, dt, duration)
+        restored, _ = impacts_at_all_phases(params, dt, duration)
         errors.append(np.abs(restored - float(dashpot_restitution(beta))).max())
         assert restored.mean() == pytest.approx(float(dashpot_restitution(beta)), abs=0.15 * dt)
     assert errors[-1] < 0.3 * steps[-1]
     assert order_of(steps, errors) == pytest.approx(1.0, abs=0.1)
-    network, state = few_balls(scene, [[0, 2 + 1e-5], [0, 0], [0, 0]], [[0, -SPEED], [0, 0], [0, 0]])
-    states = record(scene, params, network, no_load(network), steps[0], state, 200)
+    network, state = few_balls(params, [[0, 2 + 1e-5], [0, 0], [0, 0]], [[0, -SPEED], [0, 0], [0, 0]])
+    states = record(params, network, no_load(network), steps[0], state, 200)
     pressed = (np.diff(np.asarray(states.velocity.x[:, 0])) != 0).sum() * steps[0]
     assert pressed == pytest.approx(duration, abs=2 * steps[0])
 
 
-@pytest.mark.parametrize("friction", [True, False])
+@pytest.mark.parametrize("friction", [0.3, None])
 @pytest.mark.parametrize("beta", [0.1, 0.3])
 def test_dashpots_of_platens_and_planes_restore_the_closed_form(beta, friction):
     """The same e for a ball on a platen, whose dashpot has the ball's whole mass, and on a ball that is a plane."""
-    scene, params, dt = Scene(friction=friction), unit_params(damping_ratio=beta), 1e-3
+    params, dt = unit_params(friction=friction, damping=Dashpot(beta)), 1e-3
     expected = float(dashpot_restitution(beta))
-    network, state = few_balls(scene, [[0.3], [0.4], [1 + 1e-4]], [[0], [0], [-SPEED]], platens=(0, 1e3))
-    end = run(scene, params, network, no_load(network), dt, 4000, state)
+    network, state = few_balls(params, [[0.3], [0.4], [1 + 1e-4]], [[0], [0], [-SPEED]], platens=(0, 1e3))
+    end = run(params, network, no_load(network), dt, 4000, state)
     assert float(end.velocity.z[0]) / SPEED == pytest.approx(expected, rel=1e-3)
-    assert after_impact(scene, params, dt, 4.0)[0] / SPEED == pytest.approx(expected, rel=1e-3)
+    assert after_impact(params, dt, 4.0)[0] / SPEED == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize("a", [0.3, 0.7])
 def test_local_damping_along_z_restores_the_closed_form(a):
     """e = sqrt((1-a)/(1+a)): a ball on a platen, and two balls that meet with opposite speeds."""
-    scene, params, dt = Scene(friction=False, damping="local"), unit_params(local_damping=a), 2e-3
+    params, dt = unit_params(friction=None, damping=LocalDamping(a)), 2e-3
     expected = float(local_damping_restitution(a))
-    network, state = few_balls(scene, [[0.3], [0.4], [1 + 1e-4]], [[0], [0], [-SPEED]], platens=(0, 1e3))
-    end = run(scene, params, network, no_load(network), dt, 5000, state)
+    network, state = few_balls(params, [[0.3], [0.4], [1 + 1e-4]], [[0], [0], [-SPEED]], platens=(0, 1e3))
+    end = run(params, network, no_load(network), dt, 5000, state)
     assert float(end.velocity.z[0]) / SPEED == pytest.approx(expected, rel=1e-3)
-    network, state = few_balls(scene, [[0, 0], [0, 0], [0, 2 + 1e-4]], [[0, 0], [0, 0], [SPEED, -SPEED]])
-    end = run(scene, params, network, no_load(network), dt, 5000, state)
+    network, state = few_balls(params, [[0, 0], [0, 0], [0, 2 + 1e-4]], [[0, 0], [0, 0], [SPEED, -SPEED]])
+    end = run(params, network, no_load(network), dt, 5000, state)
     np.testing.assert_allclose(np.asarray(end.velocity.z) / SPEED, [-expected, expected], rtol=1e-3)
 
 
@@ -152,7 +154,7 @@ def test_undamped_impact_converges_at_second_order():
     # Each of these steps ends the contact at the same place within it.
     steps, errors = duration / (np.array([10, 20, 40, 80]) + 0.5), []
     for dt in steps:
-        found = impacts_at_all_phases(Scene(friction=False, damping="none"), unit_params(), dt, duration)
+        found = impacts_at_all_phases(unit_params(friction=None), dt, duration)
         errors.append([np.abs(ratios - 1).max() for ratios in found])
     speed_errors, overlap_errors = np.transpose(errors)
     assert speed_errors[-1] < 0.3 * steps[-1] ** 2
@@ -167,7 +169,7 @@ def test_undamped_impact_converges_at_second_order():
 def test_sticking_impact_turns_the_surface_velocity_round(ratio):
     """Surface velocity after over before, cos(pi sqrt(3.5 ks/kn)): exactly -1 at ks/kn = 2/7."""
     params = unit_params(shear_stiffness=ratio, friction=1e4)
-    _, v, w = after_impact(UNDAMPED, params, 1e-3, 3.6, tangential_speed=0.3 * SPEED, spin=-0.2 * SPEED)
+    _, v, w = after_impact(params, 1e-3, 3.6, tangential_speed=0.3 * SPEED, spin=-0.2 * SPEED)
     # Where the spring is still stretched as they part, its force ends within a step: first order.
     tolerance = 1e-6 if ratio == 2 / 7 else 2e-3
     assert (v - w) / (0.5 * SPEED) == pytest.approx(float(sticking_velocity_ratio(ratio)), abs=tolerance)
@@ -181,7 +183,7 @@ def test_sticking_impact_converges_at_second_order():
     steps, errors = 0.2 / 2.0 ** np.arange(4), []
     for dt in steps:
         found = [
-            after_impact(UNDAMPED, params, dt, 4.0, tangential_speed=SPEED, gap=SPEED * dt * (1 + phase))
+            after_impact(params, dt, 4.0, tangential_speed=SPEED, gap=SPEED * dt * (1 + phase))
             for phase in np.linspace(0, 1, 9)[:-1]
         ]
         errors.append(max(abs((v - w) / SPEED + 1) for _, v, w in found))
@@ -194,9 +196,9 @@ def test_gross_sliding_impact_on_a_plane(beta, tangential_speed, spin):
     """Chung & Ooi 4, 5 (tangential speed) and 6 (spin only): f(1+e)v of tangential speed and 5f(1+e)v/(2r) of spin
     change hands, e being what the impact itself restored."""
     f, dt = 0.3, 1e-3
-    params = unit_params(friction=f, damping_ratio=beta)
+    params = unit_params(friction=f, damping=dashpots(beta))
     start = {"tangential_speed": tangential_speed * SPEED, "spin": spin * SPEED}
-    u, v, w = after_impact(DASHPOTS if beta else UNDAMPED, params, dt, 4.0, **start)
+    u, v, w = after_impact(params, dt, 4.0, **start)
     e = u / SPEED
     assert e == pytest.approx(float(dashpot_restitution(beta)), rel=2e-4)
     lost, gained, least = map(float, gross_sliding_impact(f, e, SPEED, 1.0))
@@ -211,22 +213,22 @@ def test_sliding_ends_at_the_least_speed_of_the_closed_form():
     f = 0.1
     params = unit_params(friction=f, shear_stiffness=50.0)  # stiff, so that it sticks where it no longer slides
     lost, _, least = map(float, gross_sliding_impact(f, 1.0, SPEED, 1.0))
-    _, above, _ = after_impact(UNDAMPED, params, 1e-3, 4.0, tangential_speed=1.02 * least)
-    _, below, _ = after_impact(UNDAMPED, params, 1e-3, 4.0, tangential_speed=0.9 * least)
+    _, above, _ = after_impact(params, 1e-3, 4.0, tangential_speed=1.02 * least)
+    _, below, _ = after_impact(params, 1e-3, 4.0, tangential_speed=0.9 * least)
     assert 1.02 * least - above == pytest.approx(lost, rel=1e-5)
     assert 0.9 * least - below < 0.93 * lost
 
 
-def spinning_pair(scene, params, radius, spins, beta=0.0):
+def spinning_pair(params, radius, spins):
     """Two balls, the second of this radius, that meet head-on along x spinning about z; velocities and spins after."""
     network, state = few_balls(
-        scene,
+        params,
         [[0, 1 + radius + 1e-5], [0, 0], [0, 0]],
         [[SPEED, -SPEED], [0, 0], [0, 0]],
         [[0, 0], [0, 0], spins],
         radius=np.array([1.0, radius]),
     )
-    state = run(scene, params, network, no_load(network), 1e-3, 6000, state)
+    state = run(params, network, no_load(network), 1e-3, 6000, state)
     assert overlaps(network, state)[2][0] < 0, "the impact must be over"
     return np.asarray(state.velocity), np.asarray(state.spin)[2]
 
@@ -236,9 +238,9 @@ def spinning_pair(scene, params, radius, spins, beta=0.0):
 @pytest.mark.parametrize("beta", [0.0, 0.1])
 def test_balls_whose_surfaces_roll_on_each_other_feel_no_friction(radius, friction, beta):
     """Chung & Ooi 7 and 8 with equal and opposite surface speeds: nothing tangential changes, not even by rounding."""
-    params = unit_params(friction=friction, damping_ratio=beta)
+    params = unit_params(friction=friction, damping=dashpots(beta))
     spins = np.array([0.05, -0.05 / radius])
-    velocity, spin = spinning_pair(DASHPOTS if beta else UNDAMPED, params, radius, spins)
+    velocity, spin = spinning_pair(params, radius, spins)
     assert velocity[0, 0] < SPEED, "they must have met"
     np.testing.assert_allclose(velocity[1:], 0, atol=1e-18)
     np.testing.assert_allclose(spin, spins, rtol=1e-14)
@@ -249,7 +251,7 @@ def test_balls_whose_surfaces_roll_on_each_other_feel_no_friction(radius, fricti
 def test_spinning_balls_in_gross_sliding(radius, spins):
     """Chung & Ooi 7 and 8: the tangential impulse is f times the normal one, 2 m* v (1+e), on either ball."""
     f = 0.2
-    velocity, spin = spinning_pair(UNDAMPED, unit_params(friction=f), radius, spins)
+    velocity, spin = spinning_pair(unit_params(friction=f), radius, spins)
     mass = np.array([1.0, radius**3])
     normal_impulse = 2 * SPEED * 2 * mass[1] / mass.sum()
     assert velocity[0, 1] - velocity[0, 0] == pytest.approx(2 * SPEED, rel=1e-4)
@@ -268,11 +270,11 @@ def test_spinning_balls_in_gross_sliding(radius, spins):
 def test_ball_on_an_incline(friction, rolls):
     """tan b = 0.577: the ball rolls for f > 0.165 with 5/7 g sin b, else it slides."""
     angle, gravity, dt = np.pi / 6, 1e-4, 0.1
-    params = unit_params(friction=friction, damping_ratio=0.3)
-    network, state = against_plane(DASHPOTS, 0.0, gap=-gravity * np.cos(angle))
+    params = unit_params(friction=friction, damping=Dashpot(0.3))
+    network, state = against_plane(params, 0.0, gap=-gravity * np.cos(angle))
     load = constant_load([[0, -gravity * np.cos(angle)], [0, gravity * np.sin(angle)]])
-    half = run(DASHPOTS, params, network, load, dt, 3000, state)
-    end = run(DASHPOTS, params, network, load, dt, 3000, half)
+    half = run(params, network, load, dt, 3000, state)
+    end = run(params, network, load, dt, 3000, half)
     acceleration = float(end.velocity.y[1] - half.velocity.y[1]) / 300
     spin_up = float(end.spin.z[1] - half.spin.z[1]) / 300
     expected = [float(value) for value in incline_accelerations(angle, friction, gravity, 1.0)]
@@ -285,12 +287,12 @@ def test_ball_on_an_incline(friction, rolls):
 def test_sliding_ball_begins_to_roll(backspin):
     """5/7 of the speed is left, at 2 v0/(7 f g), after 12 v0^2/(49 f g); with backspin w the slip v0 + w r counts."""
     f, gravity, v0, dt = 0.25, 1e-4, 0.01, 0.05
-    params = unit_params(friction=f, damping_ratio=0.3)
-    network, state = against_plane(DASHPOTS, 0.0, v0, -backspin * v0, gap=-gravity)
+    params = unit_params(friction=f, damping=Dashpot(0.3))
+    network, state = against_plane(params, 0.0, v0, -backspin * v0, gap=-gravity)
     load = constant_load([[0, -gravity], [0, 0]])
     time, speed, distance = (float(value) for value in slide_to_roll(v0, f, gravity))
     time *= 1 + backspin
-    states = record(DASHPOTS, params, network, load, dt, state, round(1.5 * time / dt))
+    states = record(params, network, load, dt, state, round(1.5 * time / dt))
     velocity, place = np.asarray(states.velocity.y[:, 1]), np.asarray(states.displacement.y[:, 1])
     slip = velocity - np.asarray(states.spin.z[:, 1])
     rolling = np.flatnonzero(slip < 1e-4 * v0)[0]
@@ -305,16 +307,15 @@ def test_sliding_ball_begins_to_roll(backspin):
 def test_ball_falls_and_bounces(beta):
     """A parabola down from rest, exactly; on the plane e of the closed form; a parabola up to e^2 h."""
     gravity, height, dt = 1e-6, 0.5, 0.02
-    scene = Scene(friction=False, damping="dashpot")
-    params = unit_params(damping_ratio=beta)
-    network, state = against_plane(scene, gap=height, normal_speed=-gravity * dt / 2)  # at rest half a step later
+    params = unit_params(friction=None, damping=Dashpot(beta))
+    network, state = against_plane(params, gap=height, normal_speed=-gravity * dt / 2)  # at rest half a step later
     load = constant_load([[0, -gravity], [0, 0]])
     fall = np.sqrt(2 * height / gravity)
     count = round(0.99 * fall / dt)
-    lower = run(scene, params, network, load, dt, count, state)
+    lower = run(params, network, load, dt, count, state)
     assert float(lower.displacement.x[1]) == pytest.approx(-0.5 * gravity * (count * dt) ** 2, rel=1e-9)
     e = float(dashpot_restitution(beta))
-    top = run(scene, params, network, load, dt, round((fall * (1 + e) + 3) / dt) - count, lower)
+    top = run(params, network, load, dt, round((fall * (1 + e) + 3) / dt) - count, lower)
     # Gravity adds a share of g sqrt(m/k)/v = 1e-3 to the contact's force, the step its error in the dashpot.
     assert height + float(top.displacement.x[1]) == pytest.approx(e**2 * height, rel=4e-3 if beta else 1e-4)
     assert abs(float(top.velocity.x[1])) < 5e-3 * gravity * fall
@@ -325,7 +326,7 @@ def test_ball_falls_and_bounces(beta):
 
 def test_stacked_balls_between_platens_vibrate_in_their_two_modes():
     """Equal springs: omega^2 = k/m in phase and 3k/m against each other, at second order."""
-    scene, params = Scene(friction=False, damping="none"), unit_params()
+    params = unit_params(friction=None)
     squeeze, amplitude = 0.03, np.array([1e-3, 2e-3])
     place = np.array([[0, 0], [0, 0], [1.0 - squeeze / 3, 3.0 - 2 * squeeze / 3]])
     omega = np.array([1.0, np.sqrt(3.0)])
@@ -340,9 +341,9 @@ def test_stacked_balls_between_platens_vibrate_in_their_two_modes():
         # The velocity half a step before, from rest at the start: minus half a step of the acceleration.
         before = 0.5 * dt * amplitude * omega**2 @ shape
         network, state = few_balls(
-            scene, place + np.array([[0, 0], [0, 0], start]), [[0, 0], [0, 0], before], platens=(0, 4 - squeeze)
+            params, place + np.array([[0, 0], [0, 0], start]), [[0, 0], [0, 0], before], platens=(0, 4 - squeeze)
         )
-        end = run(scene, params, network, no_load(network), dt, round(10 / dt), state)
+        end = run(params, network, no_load(network), dt, round(10 / dt), state)
         found = np.asarray(network.positions.z + end.displacement.z) - place[2]
         errors.append(np.abs(found - exact(10.0)[0]).max() / amplitude.max())
     assert errors[-1] < 1e-2
@@ -351,15 +352,15 @@ def test_stacked_balls_between_platens_vibrate_in_their_two_modes():
 
 def test_stacked_balls_settle_under_gravity_between_planes():
     """Overlaps at rest: squeeze/3 in the middle, m g/k more below and less above."""
-    scene, params = Scene(friction=False), unit_params(damping_ratio=0.3)
+    params = unit_params(friction=None, damping=Dashpot(0.3))
     squeeze, gravity = 0.03, 1e-3
     place = np.array([[0, PLANE + 1, PLANE + 3, 2 * PLANE + 4 - squeeze], np.zeros(4), np.zeros(4)])
     place[0, 1:3] -= squeeze / 2
     network, state = few_balls(
-        scene, place, np.zeros((3, 4)), radius=np.array([PLANE, 1.0, 1.0, PLANE]), largest_overlap=0.05
+        params, place, np.zeros((3, 4)), radius=np.array([PLANE, 1.0, 1.0, PLANE]), largest_overlap=0.05
     )
     load = constant_load([[0, -gravity, -gravity, 0], [0, 0, 0, 0]])
-    state = run(scene, params, network, load, 0.1, 2000, state)
+    state = run(params, network, load, 0.1, 2000, state)
     assert np.asarray(network.first)[:3].tolist() == [0, 1, 2] and np.asarray(network.second)[:3].tolist() == [1, 2, 3]
     np.testing.assert_allclose(overlaps(network, state)[2], squeeze / 3 + gravity * np.array([1, 0, -1]), rtol=1e-7)
 
@@ -392,7 +393,7 @@ def work_along(law, network, way):
 def pressed_contact(friction):
     """A ball on a plane whose normal is x, pressed in by 0.01: contact list and law."""
     positions = [[PLANE + 0.99, 0.0], [0, 0], [0, 0]]
-    network, _ = few_balls(Scene(), positions, np.zeros((3, 2)), radius=np.array([1.0, PLANE]))
+    network, _ = few_balls(unit_params(), positions, np.zeros((3, 2)), radius=np.array([1.0, PLANE]))
     return network, Law(1.0, 0.8, friction, None, None)
 
 
@@ -428,7 +429,7 @@ def test_spring_turns_with_the_contact_plane():
     """A sheared pair turned rigidly, by 90 degrees about an axis across the line of centres: the force turns with it,
     with an error of at least first order in the turn of one step."""
     place = np.array([[0.99, -0.99], [0, 0], [0, 0]])
-    network, _ = few_balls(Scene(), place, np.zeros((3, 2)))
+    network, _ = few_balls(unit_params(), place, np.zeros((3, 2)))
     law, axis = Law(1.0, 0.8, 10.0, None, None), np.array([0.0, 0.6, 0.8])
     sheared = 1e-3 * np.array([0.0, 1.0, -0.3])  # along the axis and across it
     move = jit(contact_forces)
@@ -456,12 +457,12 @@ def test_spring_turns_with_the_contact_plane():
 # Energy.
 
 
-@pytest.mark.parametrize("damping", ["none", "dashpot", "local"])
+@pytest.mark.parametrize("damping", [None, Dashpot(0.1), LocalDamping(0.5)])
 @pytest.mark.parametrize("ratio", [0.2, 2 / 7, 0.8, 1.0])
 def test_no_impact_gains_energy(damping, ratio):
     """From head-on to grazing, on a plane and on a ball, spinning or not, at two frictions: never more than before,
     beyond the integrator's error."""
-    scene, dt = Scene(damping=damping), 0.02
+    params, dt = unit_params(damping=damping), 0.02
     angles = np.deg2rad(np.concatenate([np.arange(0, 88, 4), [88, 89, 89.5, 89.9]]))
     spins = np.array([0.0, 2.0, -2.0]) * SPEED
     angle, spin = (values.ravel() for values in np.meshgrid(angles, spins))
@@ -477,7 +478,7 @@ def test_no_impact_gains_energy(damping, ratio):
     spin = np.stack([np.concatenate([spin * 0.3, -spin]), np.zeros(2 * count), np.concatenate([spin, 0.5 * spin])])
     radius = np.concatenate([np.ones(count), other])
     place[2] -= height.max() / 2
-    network, state = few_balls(scene, place, velocity, spin, radius=radius, platens=FAR)
+    network, state = few_balls(params, place, velocity, spin, radius=radius, platens=FAR)
     start = overlaps(network, state)[2]
     assert start.size == count and (start < 0).all()
     mass = radius**3
@@ -488,11 +489,11 @@ def test_no_impact_gains_energy(damping, ratio):
         return each[:count] + each[count:]
 
     for friction in (0.1, 0.5):
-        params = unit_params(friction=friction, shear_stiffness=ratio, damping_ratio=0.1, local_damping=0.5)
-        after = run(scene, params, network, no_load(network), dt, 3000, state)
+        params = unit_params(friction=friction, shear_stiffness=ratio, damping=damping)
+        after = run(params, network, no_load(network), dt, 3000, state)
         met = np.abs(np.asarray(after.velocity.x)[:count] - speed[0]) > 0
         parted = overlaps(network, after)[2] < 0
         assert met.sum() > 0.9 * count and parted.all()
         gain = energy(after) / energy(state) - 1
-        assert gain.max() < (1e-4 if damping == "none" else 1e-5)
+        assert gain.max() < (1e-4 if damping is None else 1e-5)
         assert gain.min() < -0.02

@@ -28,7 +28,7 @@ def scene_of(gravity, heights=(1.0,), platens=(-1e6, 1e6), **named):
     return params, network, load, initial_state(Scene(), params, network, platens)
 
 
-def held(params, state, dt, push, section):
+def held(params, network, dt, state, push, section):
     return state.platen_speeds
 
 

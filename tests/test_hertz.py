@@ -4,34 +4,28 @@ Units as in few_balls.py: ball radius and mass 1; the modulus E* = G/(1 - nu) is
 """
 
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from few_balls import PLANE, few_balls, jit, no_load, record, run, still, unit_params
+from few_balls import NU, PLANE, SCENE, few_balls, hertz_params, jit, no_load, record, run, still, unit_params
 from jax.flatten_util import ravel_pytree
 from scipy.integrate import quad, solve_ivp
 from test_lattices import block, stress_after, unstrained
 
-from axijax.contact import Geometry, contact_forces, elastic_force, frictional_law, frictionless_force
+from axijax import Dashpot, Hertz, Params, Scene
+from axijax.contacts import Geometry, contact_forces, elastic_force, frictional_law, frictionless_force
 from axijax.curve import raise_for_status
-from axijax.dynamics import (
-    Params,
-    Scene,
-    check_params,
-    contact_laws,
-    initial_state,
-    make_step,
-)
+from axijax.dynamics import initial_state, make_step
 from axijax.energy import energy_balance, make_ledger_step, open_ledger
-from axijax.hertz import confined_force, tangent_stiffness
+from axijax.hertz import OVERLOAD, confined_force
 from axijax.lattice import lattice_load
 from axijax.membrane import Load
 from axijax.neighbors import build_network
 from axijax.packing import Specimen, cut_to_sector, fcc_octagon
+from axijax.params import check_params
 from axijax.sector import Sector
 from axijax.theory import (
     dashpot_restitution,
@@ -41,7 +35,7 @@ from axijax.theory import (
     hertz_impact_duration,
     hertz_impact_maximum_overlap,
 )
-from axijax.time_step import OVERLOAD, SAFE_STEP, critical_time_step
+from axijax.time_step import SAFE_STEP, critical_time_step
 from axijax.triaxial import TriaxialTest
 from axijax.vector import Vector, from_rows, zeros
 from calibrate.fit import fit_parameters
@@ -49,15 +43,8 @@ from calibrate.measured import MeasuredCurve
 from calibrate.model import Model
 from calibrate.parameters import ParameterSet
 
-NU = 0.2
 SHEAR = 4 * (1 - NU) / (2 - NU)  # 8 G* where E* is 1
-HERTZ = partial(Scene, contact_law="hertz")
-UNDAMPED = HERTZ(damping="none")
 SPEED = 1e-3
-
-
-def hertz_params(**changes) -> Params:
-    return unit_params(**({"shear_modulus": 1 - NU, "poisson_ratio": NU} | changes))
 
 
 # Normal impact.
@@ -77,26 +64,26 @@ def test_the_constant_of_the_duration_is_the_integral_over_the_overlap():
 def test_normal_impact_lasts_and_presses_as_the_closed_form_says(partner):
     """Two balls, the second of radius 1 or 2; a ball on a platen, on a rigid sector plane: a flat of the same material,
     so that R* is the ball's radius."""
-    scene, gap = HERTZ(friction=False, damping="none"), 1.234e-6
+    params, gap = hertz_params(friction=None), 1.234e-6
     mass, radius = (1.0, 1.0) if isinstance(partner, str) else (partner**3 / (1 + partner**3), partner / (1 + partner))
     duration = float(hertz_impact_duration(SPEED, mass, radius, 1.0))
     dt, steps = duration / 2000, 2400
     if partner == "platen":
-        network, state = few_balls(scene, [[0.0], [0.0], [1 + gap]], [[0], [0], [-SPEED]], platens=(0, 10))
+        network, state = few_balls(params, [[0.0], [0.0], [1 + gap]], [[0], [0], [-SPEED]], platens=(0, 10))
         moved = "z", 0
     elif partner == "plane":
         specimen = Specimen(np.array([[5.0], [1 + gap], [0.0]]), 1.0, -9.0, 9.0, np.ones(1, bool))
         network = build_network(specimen, Sector(4, "rigid"))
-        state = initial_state(network, scene, jnp.array([-9.0, 9.0]))
+        state = initial_state(SCENE, params, network, [-9.0, 9.0])
         state = state._replace(velocity=from_rows(np.array([[0.0], [-SPEED], [0.0]])))
         moved = "y", 0
     else:
         radii = np.array([1.0, partner])
         network, state = few_balls(
-            scene, [[0, 1 + partner + gap], [0, 0], [0, 0]], [[0, -SPEED], [0, 0], [0, 0]], radius=radii
+            params, [[0, 1 + partner + gap], [0, 0], [0, 0]], [[0, -SPEED], [0, 0], [0, 0]], radius=radii
         )
         moved = "x", 1
-    states = record(scene, hertz_params(), network, no_load(network), dt, state, steps)
+    states = record(params, network, no_load(network), dt, state, steps)
     away = np.asarray(getattr(states.displacement, moved[0]))
     overlap = away[:, 0] * moved[1] - away[:, moved[1]] - gap
     leaving = (overlap[-2] - overlap[-1]) / dt
@@ -109,16 +96,16 @@ def test_normal_impact_lasts_and_presses_as_the_closed_form_says(partner):
 @pytest.mark.parametrize("beta", [0.05, 0.3])
 def test_dashpots_restore_the_same_share_of_any_speed(beta):
     """The restitution of the linear law (Antypov & Elliott 2011), from speeds that differ by 1e4."""
-    scene, params = HERTZ(friction=False), hertz_params(damping_ratio=beta)
+    params = hertz_params(friction=None, damping=Dashpot(beta))
     expected = float(dashpot_restitution(beta))
     for speed in (1e-5, 1e-1):
         duration = float(hertz_impact_duration(speed, 0.5, 0.5, 1.0))
-        network, state = few_balls(scene, [[0, 2 + 0.01 * speed], [0, 0], [0, 0]], [[0, -speed], [0, 0], [0, 0]])
-        state = run(scene, params, network, no_load(network), duration / 4000, 8000, state)
+        network, state = few_balls(params, [[0, 2 + 0.01 * speed], [0, 0], [0, 0]], [[0, -speed], [0, 0], [0, 0]])
+        state = run(params, network, no_load(network), duration / 4000, 8000, state)
         assert float(state.velocity.x[1] - state.velocity.x[0]) / speed == pytest.approx(expected, rel=1e-3)
-    bottom = few_balls(scene, [[0.0], [0.0], [1 + 1e-6]], [[0], [0], [-SPEED]], platens=(0, 10))
+    bottom = few_balls(params, [[0.0], [0.0], [1 + 1e-6]], [[0], [0], [-SPEED]], platens=(0, 10))
     duration = float(hertz_impact_duration(SPEED, 1.0, 1.0, 1.0))
-    state = run(scene, params, bottom[0], no_load(bottom[0]), duration / 4000, 8000, bottom[1])
+    state = run(params, bottom[0], no_load(bottom[0]), duration / 4000, 8000, bottom[1])
     assert float(state.velocity.z[0]) / SPEED == pytest.approx(expected, rel=1e-3)
 
 
@@ -127,13 +114,13 @@ def test_dashpots_restore_the_same_share_of_any_speed(beta):
 
 def pair(radius=(1.0, 1.0)):
     """A network of two touching balls along x."""
-    network, _ = few_balls(UNDAMPED, [[0, sum(radius)], [0, 0], [0, 0]], np.zeros((3, 2)), radius=np.array(radius))
-    return network
+    place = [[0, sum(radius)], [0, 0], [0, 0]]
+    return few_balls(hertz_params(), place, np.zeros((3, 2)), radius=np.array(radius))[0]
 
 
 def led(network, paths, friction=1e6):
     """Forces (W, T, 2), normal and tangential, while overlap and slip follow W paths (W, T, 2) from nothing."""
-    law, _ = contact_laws(UNDAMPED, hertz_params(friction=friction), network)
+    law = hertz_params(friction=friction).material.contact_law(network)
     nought = jnp.zeros(2)
 
     def one(carry, target):
@@ -163,7 +150,7 @@ def test_mindlins_stiffness_and_what_becomes_of_it_when_the_load_changes(radius)
     assert force[2, 1] == pytest.approx(SHEAR * np.sqrt(reduced * d) * s, rel=1e-3)
     assert force[3, 1] == pytest.approx(force[2, 1], rel=2e-3)
     assert force[4, 1] == pytest.approx(force[2, 1] / 2, rel=2e-3)
-    stiffness = tangent_stiffness(hertz_params(), reduced, force[1, 0])
+    stiffness = hertz_params().material.tangent_stiffness(reduced, force[1, 0])
     assert float(stiffness[0]) == pytest.approx(2 * np.sqrt(reduced * d), rel=1e-6)
     assert float(stiffness[1] / stiffness[0]) == pytest.approx(2 * (1 - NU) / (2 - NU), rel=1e-12)
 
@@ -201,21 +188,21 @@ def test_no_closed_way_gives_out_energy(friction):
 # Oblique impact.
 
 
-def against_plane(scene, tangential_speed=0.0, gap=1e-6, normal_speed=SPEED):
+def against_plane(params, tangential_speed=0.0, gap=1e-6, normal_speed=SPEED):
     """A ball that flies at a flat ball of radius PLANE, which its mass keeps at rest; R* = 1 to 1e-6."""
     place = [[0.0, PLANE + 1 + gap], [0, 0], [0, 0]]
-    return few_balls(scene, place, [[0, -normal_speed], [0, tangential_speed], [0, 0]], radius=np.array([PLANE, 1.0]))
+    return few_balls(params, place, [[0, -normal_speed], [0, tangential_speed], [0, 0]], radius=np.array([PLANE, 1.0]))
 
 
 @pytest.mark.parametrize("beta", [0.0, 0.1])
 def test_gross_sliding(beta):
-    scene, f = HERTZ(damping="dashpot"), 0.2
+    f = 0.2
+    params = hertz_params(friction=f, damping=Dashpot(beta))
     e = float(dashpot_restitution(beta))
     lost, spin, least = (float(x) for x in gross_sliding_impact(f, e, SPEED, 1.0))
-    network, state = against_plane(scene, tangential_speed=3 * least)
+    network, state = against_plane(params, tangential_speed=3 * least)
     duration = float(hertz_impact_duration(SPEED, 1.0, 1.0, 1.0))
-    params = hertz_params(friction=f, damping_ratio=beta)
-    state = run(scene, params, network, no_load(network), duration / 4000, 8000, state)
+    state = run(params, network, no_load(network), duration / 4000, 8000, state)
     assert float(state.velocity.x[1]) == pytest.approx(e * SPEED, rel=1e-3)
     assert 3 * least - float(state.velocity.y[1]) == pytest.approx(lost, rel=1e-3)
     assert abs(float(state.spin.z[1])) == pytest.approx(spin, rel=1e-3)
@@ -239,15 +226,16 @@ def test_sticking_against_an_integration_of_the_two_equations():
     ode = solve_ivp(
         motion, (0, 1e4), [SPEED * start, SPEED, 2 / 3 * u0 * start, u0], events=apart, rtol=1e-9, atol=1e-16
     )
-    network, state = against_plane(UNDAMPED, tangential_speed=u0)
+    params = hertz_params(friction=1e6)
+    network, state = against_plane(params, tangential_speed=u0)
     duration = float(hertz_impact_duration(SPEED, 1.0, 1.0, 1.0))
-    end = run(UNDAMPED, hertz_params(friction=1e6), network, no_load(network), duration / 8000, 10000, state)
+    end = run(params, network, no_load(network), duration / 8000, 10000, state)
     surface = float(end.velocity.y[1] - end.spin.z[1])
     assert surface == pytest.approx(ode.y[3, -1], abs=1e-3 * u0)
     assert ode.y[3, -1] < 0.9 * u0
 
 
-def grazing(params, scene):
+def grazing(params):
     """Kinetic energy after over before of 24 pairs that meet under all angles, spinning or not."""
     count = 24
     angle = np.linspace(0.02, 1.55, count)
@@ -258,9 +246,9 @@ def grazing(params, scene):
     velocity[0, :count], velocity[1, :count] = -SPEED * np.cos(angle), SPEED * np.sin(angle)
     spins = np.zeros((3, 2 * count))
     spins[2, :count] = spin
-    network, state = few_balls(scene, place, velocity, spins)
+    network, state = few_balls(params, place, velocity, spins)
     slowest = float(hertz_impact_duration(SPEED * np.cos(angle[-1]), 0.5, 0.5, 1.0))
-    end = run(scene, params, network, no_load(network), slowest / 8000, 16000, state)
+    end = run(params, network, no_load(network), slowest / 8000, 16000, state)
 
     def kinetic(s):
         v, w = np.asarray(s.velocity), np.asarray(s.spin)
@@ -273,7 +261,7 @@ def grazing(params, scene):
 
 def test_no_impact_gains_energy():
     """Undamped, from head-on to grazing: none with friction 0, 0.3 or with contacts that always stick."""
-    sliding, sticking, smooth = (grazing(hertz_params(friction=f), UNDAMPED) for f in (0.3, 1e6, 0.0))
+    sliding, sticking, smooth = (grazing(hertz_params(friction=f)) for f in (0.3, 1e6, 0.0))
     np.testing.assert_allclose(smooth, 1.0, rtol=2e-5)
     assert sliding.max() < 1 + 2e-5 and sticking.max() < 1 + 2e-5
     assert sliding.min() < 0.95 and sticking.min() < 0.99
@@ -282,25 +270,25 @@ def test_no_impact_gains_energy():
 # Energy ledger.
 
 
-@partial(jit, static_argnums=(0,))
-def ledger_after(scene, params, network, dt, steps, state):
-    step = make_ledger_step(scene, still)
+@jit
+def ledger_after(params, network, dt, steps, state):
+    step = make_ledger_step(SCENE, still)
     both = state, open_ledger()
     after = jax.lax.fori_loop(0, steps, lambda _, b: step(params, network, no_load(network), dt, b), both)
-    return tuple(energy_balance(scene, params, network, no_load(network), dt, *b) for b in (both, after))
+    return tuple(energy_balance(SCENE, params, network, no_load(network), dt, *b) for b in (both, after))
 
 
-@pytest.mark.parametrize("damping", ["dashpot", "none"])
+@pytest.mark.parametrize("damping", [Dashpot(0.1), None])
 def test_the_ledger_closes_at_second_order(damping):
     """Balls rattling and slipping between two platens, pressed throughout: what the tangential springs lose by the
     change of contact radius is booked, or the balance would miss it."""
-    scene, params = HERTZ(damping=damping), hertz_params(damping_ratio=0.1, friction=0.05)
+    params = hertz_params(friction=0.05, damping=damping)
     place = [[0, 0, 0], [0, 0, 0], [0.99, 2.97, 4.95]]
     velocity, spin = [[0, 2e-4, 0], [0, 0, 1e-4], [0, 1e-3, 0]], [[0, 0, 1e-3], [0, 0, 0], [0, 0, 0]]
-    network, state = few_balls(scene, place, velocity, spin, platens=(0, 5.94))
+    network, state = few_balls(params, place, velocity, spin, platens=(0, 5.94))
     missing = []
     for steps in (200, 400, 800):
-        start, end = ledger_after(scene, params, network, 20.0 / steps, steps, state)
+        start, end = ledger_after(params, network, 20.0 / steps, steps, state)
         missing.append(abs(float(end.unaccounted - start.unaccounted)))
         lost = float(end.friction + end.damping)
     assert lost > 1e-8
@@ -313,16 +301,16 @@ def test_the_ledger_closes_at_second_order(damping):
 
 def test_tangents_of_an_oblique_impact_that_slips_and_sticks_agree_with_differences():
     """Of the velocities after it, with respect to friction, G, nu, beta and the speeds of the ball."""
-    scene = HERTZ(damping="dashpot")
-    network, state = against_plane(scene)
+    begun = hertz_params(damping=Dashpot())
+    network, state = against_plane(begun)
     duration = float(hertz_impact_duration(SPEED, 1.0, 1.0, 1.0))
     names = ("friction", "shear_modulus", "poisson_ratio", "damping_ratio")
 
     def after(x):
-        params = replace(hertz_params(), **dict(zip(names, x[:4], strict=True)))
+        params = replace(begun, **dict(zip(names, x[:4], strict=True)))
         speeds = Vector(state.velocity.x.at[1].set(-x[4]), state.velocity.y.at[1].set(x[5]), state.velocity.z)
         begin = state._replace(velocity=speeds)
-        end = run.__wrapped__(scene, params, network, no_load(network), duration / 1000, 1600, begin)
+        end = run.__wrapped__(params, network, no_load(network), duration / 1000, 1600, begin)
         return jnp.stack([end.velocity.x[1], end.velocity.y[1], end.spin.z[1]]) / SPEED
 
     value, slopes = jit(after), jit(jax.jacfwd(after))
@@ -340,17 +328,22 @@ def test_tangents_are_finite_at_every_overlap_and_without_slip():
     overlap = jnp.array([0.0, 1e-300, 1e-30, 1e-18, 1e-9, 1e-4, -1e-300, -1e-18, -1e-9, -1.0, -1e9])
     row = jnp.ones(overlap.size)
     network = pair()
-    for scene in (HERTZ(), UNDAMPED, HERTZ(friction=False), HERTZ(friction=False, damping="none")):
+    for frictional, damped in ((True, True), (True, False), (False, True), (False, False)):
 
-        def force(x, scene=scene):
-            params = hertz_params(friction=x[0], shear_modulus=x[1], poisson_ratio=x[2], damping_ratio=x[3])
-            law, wall = contact_laws(scene, params, network)
+        def force(x, frictional=frictional, damped=damped):
+            material = hertz_params(
+                friction=x[0] if frictional else None,
+                damping=Dashpot(x[3]) if damped else None,
+                shear_modulus=x[1],
+                poisson_ratio=x[2],
+            ).material
+            law, wall = material.contact_law(network), material.wall_law(network)
             place = Geometry(Vector(-2 * row, 0 * row, 0 * row), 0.5 * row, overlap + x[4])
             approach = Vector(x[5] * row, x[6] * row, 0 * row)
             now, pushed = law.at(place, approach, 1.0), wall._replace(**of_one(wall)).at(-place.overlap)
-            if scene.friction:
+            if frictional:
                 made = frictional_law(now, 1.0, place, approach, None, approach * x[7])
-            elif scene.damping == "dashpot":
+            elif damped:
                 made = frictionless_force(now, place, approach)
             else:
                 made = elastic_force(now, place)
@@ -372,12 +365,13 @@ def of_one(wall):
 def test_fcc_is_as_stiff_as_the_tangent_stiffness_of_its_contacts():
     """Isotropic stress N0 = sqrt2 s r^2 from the overlap, and C11, C12, C44 of PHYSICS 3.3 with kn, ks tangent."""
     piece, squeeze = block("fcc"), 1e-4
-    law, _ = contact_laws(UNDAMPED, hertz_params(friction=1e6), piece.network)
+    material = hertz_params(friction=1e6).material
+    law = material.contact_law(piece.network)
     pressed = (1 - squeeze) * np.eye(3)
     start, _ = stress_after(law, piece, pressed, pressed, unstrained(piece))
     contact_force = 4 / 3 * 0.5**0.5 * (2 * squeeze) ** 1.5
     np.testing.assert_allclose(start, contact_force / 2**0.5 * np.eye(3), atol=1e-3 * contact_force)
-    normal, shear = (float(k) for k in tangent_stiffness(hertz_params(), 0.5, contact_force))
+    normal, shear = (float(k) for k in material.tangent_stiffness(0.5, contact_force))
     c11, c12, c44 = (float(c) for c in elastic_constants("fcc", normal, shear, 1.0))
 
     def change(strain):
@@ -401,8 +395,8 @@ def blocked() -> TriaxialTest:
     return TriaxialTest(
         SMALL,
         Sector(4),
-        scene=HERTZ(rotation=False),
-        params=Params(platen_speed=0.002),
+        scene=Scene(rotation=False),
+        params=Params(Hertz(), platen_speed=0.002),
         axial_strain=0.0008,
         tolerance=1e-5,
         lateral_load=lattice_load(SMALL, Sector(4)),
@@ -418,7 +412,7 @@ def test_lattice_without_rotation_reaches_thorntons_formula(blocked, friction):
 
 def test_a_contact_across_a_sector_plane_is_the_same_as_in_the_full_cylinder():
     """Quarter and full cylinder of a lively specimen, pressed by the platens: one trajectory."""
-    scene, params = HERTZ(), Params(platen_speed=5.0)
+    params = Params(Hertz(), platen_speed=5.0)
     half, step = 0.5 * SMALL.height, 0.005
     states = []
     for order in (1, 4):
@@ -426,16 +420,16 @@ def test_a_contact_across_a_sector_plane_is_the_same_as_in_the_full_cylinder():
         cut = cut_to_sector(SMALL, sector)
         shrunk = 0.999 * (cut.positions - [[0], [0], [half]])
         network = build_network(replace(cut, positions=shrunk, bottom=-0.999 * half, top=0.999 * half), sector)
-        dt = 0.5 * critical_time_step(scene, params, network)
-        state = initial_state(network, scene, jnp.array([-0.999, 0.999]) * half)
+        dt = 0.5 * critical_time_step(SCENE, params, network)
+        state = initial_state(SCENE, params, network, np.array([-0.999, 0.999]) * half)
         swirl = np.asarray(network.free) * np.stack([-shrunk[1], shrunk[0], 20 * np.sin(shrunk[2])]) * 0.02
         spin = np.stack([0 * shrunk[0], 0 * shrunk[0], 0.05 * np.cos(shrunk[2])])
         state = state._replace(velocity=from_rows(swirl), spin=from_rows(spin))
         assert step < dt
-        state = run(scene, params, network, no_load(network), step, 12, state)
+        state = run(params, network, no_load(network), step, 12, state)
         across = np.abs(np.asarray(state.spring)[:, np.asarray(network.image) > 0])
         assert order == 1 or across.max() > 1e-6, "contacts across the planes carry springs"
-        states.append((run(scene, params, network, no_load(network), step, 300, state), shrunk))
+        states.append((run(params, network, no_load(network), step, 300, state), shrunk))
     (full, place), (quarter, mine) = states
     same = np.array([np.argmin(np.linalg.norm(place - p[:, None], axis=0)) for p in mine.T])
     moved = np.asarray(quarter.displacement)
@@ -444,21 +438,25 @@ def test_a_contact_across_a_sector_plane_is_the_same_as_in_the_full_cylinder():
     np.testing.assert_allclose(np.asarray(full.spin)[:, same], np.asarray(quarter.spin), atol=1e-11)
 
 
-def test_what_the_scene_does_not_use_does_not_enter():
-    """A NaN in it leaves no trace."""
-    nan = float("nan")
-    for scene, unused in (
-        (Scene(), {"shear_modulus": nan, "poisson_ratio": nan}),
-        (HERTZ(), {"normal_stiffness": nan, "shear_stiffness": nan}),
-    ):
-        network, state = against_plane(scene, tangential_speed=SPEED, gap=-1e-4)
-        ends = [
-            run(scene, hertz_params(damping_ratio=0.1, **more), network, no_load(network), 0.01, 50, state)
-            for more in ({}, unused)
-        ]
-        for one, other in zip(*map(jax.tree.leaves, ends), strict=True):
-            np.testing.assert_array_equal(one, other)
-            assert np.isfinite(one).all()
+@pytest.mark.parametrize(
+    ("params", "unused"),
+    [
+        (unit_params(damping=Dashpot(0.1)), ("shear_modulus", "poisson_ratio")),
+        (hertz_params(damping=Dashpot(0.1)), ("normal_stiffness", "shear_stiffness")),
+    ],
+)
+def test_what_the_material_does_not_use_does_not_enter(params, unused):
+    """It is refused, wherever it is given; what is there suffices for a run."""
+    for name in unused:
+        with pytest.raises(ValueError, match=f"{name} = nan: no part of these parameters .* so it would do nothing"):
+            replace(params, **{name: float("nan")})
+        with pytest.raises(ValueError, match=f"{name} = nan: no part of these parameters .* so it would do nothing"):
+            Params(params.material, **{name: float("nan")})
+        with pytest.raises(AttributeError, match=name):
+            getattr(params, name)
+    network, state = against_plane(params, tangential_speed=SPEED, gap=-1e-4)
+    end = run(params, network, no_load(network), 0.01, 50, state)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(end))
 
 
 @pytest.fixture(scope="module")
@@ -490,7 +488,7 @@ def test_friction_and_shear_modulus_are_fitted(model):
 def test_what_the_law_does_not_use_is_not_fitted(blocked):
     with pytest.raises(ValueError, match="'normal_stiffness': contact_law = 'hertz' does not use it"):
         Model(blocked, "friction,kn")
-    linear = replace(blocked, scene=Scene(rotation=False))
+    linear = replace(blocked, params=Params())
     with pytest.raises(ValueError, match="'poisson_ratio': contact_law = 'linear' does not use it"):
         Model(linear, "friction,nu")
     with pytest.raises(ValueError, match="bounds of poisson_ratio"):
@@ -501,27 +499,27 @@ def test_what_the_law_does_not_use_is_not_fitted(blocked):
 
 
 @pytest.mark.parametrize("boundary", ["periodic", "rigid"])
-@pytest.mark.parametrize("damping", ["dashpot", "none"])
+@pytest.mark.parametrize("damping", [Dashpot(), None])
 def test_the_step_itself_amplifies_just_above_the_limit_and_not_below(boundary, damping):
     """The largest eigenvalue of the linearised step of a squeezed prism, its overlaps deeper than those to come. The
     platens, whose overlaps a contact list does not know, keep off."""
-    scene, sector = HERTZ(damping=damping), Sector(4, boundary)
+    sector = Sector(4, boundary)
     cut = cut_to_sector(SMALL, sector)
     half = 0.5 * SMALL.height + 1
     place = cut.positions - [[0], [0], [half - 1]]
     # Little enough that the prism does not buckle: growth of a static kind goes with the root of the overlap.
     squeezed = replace(cut, positions=place, radius=cut.radius * (1 + 1e-6), bottom=-half, top=half)
     network = build_network(squeezed, sector)
-    params = Params(friction=1e6, confining_stress=1e-6)
-    state = initial_state(network, scene, jnp.array([-half, half]))
-    step = make_step(scene, still)
+    params = Params(Hertz(damping=damping), friction=1e6, confining_stress=1e-6)
+    state = initial_state(SCENE, params, network, [-half, half])
+    step = make_step(SCENE, still)
     flat, shape = ravel_pytree((state.displacement, state.velocity, state.spin, state.spring))
 
     @jax.jit
     def matrix(dt):
         def one_step(moved):
             displacement, velocity, spin, spring = shape(moved)
-            before = state._replace(displacement=displacement, velocity=velocity, spin=spin, spring=spring)
+            before = state._replace(displacement=displacement, velocity=velocity, spin=spin).with_spring(spring)
             after = step(params, network, Load(jnp.zeros(network.radius.shape), jnp.ones(())), dt, before)
             return ravel_pytree((after.displacement, after.velocity, after.spin, after.spring))[0]
 
@@ -530,7 +528,7 @@ def test_the_step_itself_amplifies_just_above_the_limit_and_not_below(boundary, 
     def growth(dt):
         return np.abs(np.linalg.eigvals(np.asarray(matrix(dt)))).max()
 
-    critical = critical_time_step(scene, params, network)
+    critical = critical_time_step(SCENE, params, network)
     assert growth(0.99 * critical) < 1.005
     assert growth(1.02 * critical) > 1.015
 
@@ -559,7 +557,7 @@ def test_the_limit_is_that_of_the_loaded_specimen_and_unsafe_steps_are_refused(b
 def test_the_mean_force_under_the_confining_stress_is_at_least_the_true_one():
     """FCC: N0 = sqrt2 s3 r^2; the cylinder around the balls is larger than the membrane's, at most by a half here."""
     network = build_network(cut_to_sector(fcc_octagon(), Sector(4)), Sector(4))
-    force = float(confined_force(Params(), network))
+    force = float(confined_force(network, Params().confining_stress))
     assert 1 < force / (2**0.5 * 5e4 * 400) < 2
     assert OVERLOAD >= 2 / (1 - 0.5)
 
@@ -578,10 +576,10 @@ def test_the_mean_force_under_the_confining_stress_is_at_least_the_true_one():
 )
 def test_bad_material_is_refused(field, value, part):
     with pytest.raises(ValueError, match=field) as caught:
-        check_params(replace(Params(), **{field: value}), 10)
+        check_params(replace(Params(Hertz()), **{field: value}), 10)
     assert part in str(caught.value)
 
 
-def test_an_unknown_law_is_refused():
-    with pytest.raises(ValueError, match="contact_law = 'hooke': must be 'linear' or 'hertz'"):
-        Scene(contact_law="hooke")
+def test_what_is_no_material_is_refused():
+    with pytest.raises(ValueError, match="material = 'hooke': must be a material"):
+        check_params(Params("hooke"), 10)

@@ -5,16 +5,18 @@ is the Love-Weber mean over the balls that have all their neighbours. That is th
 Units: ball radius, mass and normal stiffness 1.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from few_balls import jit, no_load, run, unit_params
+from few_balls import SCENE, jit, no_load, run, unit_params
 
-from axijax.contact import Law, contact_forces, geometry
-from axijax.dynamics import Scene, all_forces, initial_state, positions
+from axijax import Scene
+from axijax.contacts import Law, contact_forces, geometry
+from axijax.dynamics import all_forces, initial_state, positions
 from axijax.membrane import membrane_load
 from axijax.neighbors import Network, build_network
 from axijax.packing import Specimen, cut_to_sector, fcc_cylinder, fcc_octagon, lattice_cylinder
@@ -93,7 +95,7 @@ def deformed(law, piece: Block, before, after, spring):
     """Stress and springs once the deformation gradient has gone from `before` to `after` in one step."""
     there, here = moved_by(piece, after), moved_by(piece, before)
     contacts = contact_forces(law, piece.network, 1.0, there, there - here, None, spring)
-    branch = geometry(piece.network, there).apart
+    branch = geometry(piece.network, there).branch
     return love_weber(piece, contacts.force, branch, jnp.linalg.det(after)), contacts.spring
 
 
@@ -183,16 +185,16 @@ def test_isotropic_compression_gives_the_stress_of_the_contact_force(lattice, or
 def test_uniform_spin_mode(lattice):
     """All balls turned by a small angle about any axis: moment -I omega^2 angle, omega^2 = (10/3) z ks/m."""
     piece = block(lattice)
-    scene, params = Scene(damping="none"), unit_params(friction=1e6, shear_stiffness=0.7)
+    params = unit_params(friction=1e6, shear_stiffness=0.7)
     network = piece.network
     dt, angle = 0.1, 1e-9
     omega = float(uniform_spin_frequency(NEIGHBOURS[lattice], 1.0, 0.7))
     for axis in np.eye(3):
-        state = initial_state(network, scene, jnp.array([-99.0, 99.0]))._replace(
+        state = initial_state(SCENE, params, network, [-99.0, 99.0])._replace(
             displacement=moved_by(piece, (1 - 1e-5) * np.eye(3)),
             spin=from_rows(np.outer(axis, np.full(network.radius.size, angle / dt))),
         )
-        moment = forces_on(scene, params, network, no_load(network), dt, state).moment
+        moment = forces_on(SCENE, params, network, no_load(network), dt, state).moment
         found = np.asarray(moment)[:, piece.centre]
         # The overlap shortens the arm, once in the slip and once in the moment.
         expected = -0.4 * ((1 - 1e-5) * omega) ** 2 * angle * axis
@@ -207,14 +209,14 @@ def test_p_wave_of_fcc_from_the_force_on_a_ball(share):
     """Layers displaced as cos(q z): the force on a ball is -m omega^2 times its displacement, for waves from far longer
     than a layer (omega = c_P q) to the shortest (antiphase layers, the fastest translation)."""
     piece, ratio = block("fcc"), 0.8
-    scene, params = Scene(rotation=False, damping="none"), unit_params(friction=1e6, shear_stiffness=ratio)
+    scene, params = Scene(rotation=False), unit_params(friction=1e6, shear_stiffness=ratio)
     network, dt, amplitude = piece.network, 0.1, 1e-9
     q = share * np.pi / np.sqrt(2)
     z = np.asarray(network.positions.z)
     wave = amplitude * np.cos(q * (z - z[piece.centre]))
     pressed = moved_by(piece, (1 - 1e-7) * np.eye(3))
     up = Vector(jnp.zeros_like(z), jnp.zeros_like(z), jnp.asarray(wave))
-    rest = initial_state(network, scene, jnp.array([-99.0, 99.0]))
+    rest = initial_state(scene, params, network, [-99.0, 99.0])
     state = rest._replace(displacement=pressed + up, velocity=up * (1 / dt))
     force = np.asarray(forces_on(scene, params, network, no_load(network), dt, state).resultant)[:, piece.centre]
     omega = float(fcc_p_wave_frequency(q, 1.0, 1.0, ratio, 1.0))
@@ -229,7 +231,7 @@ def test_standing_wave_on_a_chain_between_platens(mode):
     """Nine balls in a row between platens: each mode swings at 2 sqrt(kn/m) |sin(q r)|, as the leapfrog maps it to
     sin(omega' dt/2) = omega dt/2, to rounding over many periods."""
     count, dt, amplitude = 9, 0.3, 1e-4
-    scene, params = Scene(friction=False, damping="none"), unit_params()
+    params = unit_params(friction=None)
     squeeze = 0.01
     q = np.pi * mode / (2 * (count + 1))
     omega = float(chain_frequency(q, 1.0, 1.0, 1.0))
@@ -239,11 +241,11 @@ def test_standing_wave_on_a_chain_between_platens(mode):
     shape = amplitude * np.sin(2 * q * np.arange(1, count + 1))
     made = Specimen(np.stack([0 * rest, 0 * rest, rest + shape]), 1.0, 0.0, top, np.ones(count, bool))
     network = build_network(made, Sector(1))
-    state = initial_state(network, scene, jnp.array([0.0, top]))
+    state = initial_state(SCENE, params, network, [0.0, top])
     before = shape * (1 - np.cos(omega * dt)) / dt
     state = state._replace(velocity=from_rows([0 * rest, 0 * rest, before]))
     steps = 1000
-    end = run(scene, params, network, no_load(network), dt, steps, state)
+    end = run(params, network, no_load(network), dt, steps, state)
     found = np.asarray(positions(network, end).z) - rest
     np.testing.assert_allclose(found, shape * np.cos(omega * dt * steps), atol=1e-9 * amplitude * steps)
 
@@ -393,12 +395,11 @@ def test_forces_on_platens_and_membrane_are_the_contacts_stress(order):
     their horizontal part to the sum of membrane force times radius, in a sector as in the whole."""
     test = TriaxialTest(fcc_octagon(layers=5, half_width=5), Sector(order), tolerance=1e-8)
     state, _ = test.confine()
-    network, params = test.network, test.params
-    scene = Scene(rotation=False, friction=False, damping="none")
+    network, params, scene = test.network, replace(test.params, friction=None, damping=None), Scene(rotation=False)
     still_state = state._replace(velocity=zeros(network.radius.shape, network.dtype))
     load = membrane_load(test.membrane, positions(network, state), *state.platens)
-    forces = forces_on(scene, params, network, load, test.time_step, still_state)
-    branch, force = geometry(network, state.displacement).apart, forces.contacts.force
+    forces = forces_on(scene, params, network, load, test.prepared.time_step, still_state)
+    branch, force = geometry(network, state.displacement).branch, forces.contacts.force
     place = positions(network, state)
     vertical = float((network.share * force.z * branch.z).sum())
     horizontal = float((network.share * (force.x * branch.x + force.y * branch.y)).sum())

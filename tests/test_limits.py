@@ -9,8 +9,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from axijax import theory
-from axijax.dynamics import Params, Scene
+from axijax import BackgroundDamping, Params, theory
 from axijax.membrane import build_membrane, membrane_radius
 from axijax.packing import cut_to_sector, fcc_octagon
 from axijax.sector import Sector
@@ -22,11 +21,10 @@ FRICTION = 0.12278
 
 
 @lru_cache
-def sheared(axial_strain=0.0045, layers=25, damping="dashpot", dtype=np.float64, **params):
+def sheared(axial_strain=0.0045, layers=25, dtype=np.float64, **params):
     """Curve and final state; confined to 1e-3 in float32, which rounding allows, and to 1e-6 in float64."""
     test = TriaxialTest(
         fcc_octagon(layers=layers),
-        scene=Scene(damping=damping),
         params=Params(**params),
         axial_strain=axial_strain,
         tolerance=1e-3 if dtype == np.float32 else 1e-6,
@@ -137,7 +135,7 @@ def test_mass_proportional_damping_adds_strength():
     """PHYSICS 1.4: 0.5/T adds 2 % and 2/T 8 % (independent program)."""
     right = peak(friction=FRICTION)
     for rate, added in ((0.5, 0.02), (2.0, 0.08)):
-        found = peak(damping="background", background_damping=rate, friction=FRICTION)
+        found = peak(damping=BackgroundDamping(rate), friction=FRICTION)
         assert found / right - 1 == pytest.approx(added, abs=0.005)
 
 
@@ -183,7 +181,7 @@ def test_a_ball_squeezed_out_is_loaded_but_does_not_carry_the_radius_away():
 
 def test_float32_keeps_the_overlap_only_by_displacements():
     """At these coordinates float32 positions miss an overlap by 2e-3 of it, displacements by a hundredth of that."""
-    from axijax.contact import geometry
+    from axijax.contacts import geometry
     from axijax.neighbors import build_network
 
     cut = cut_to_sector(fcc_octagon(), Sector(4))

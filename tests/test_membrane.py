@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial import Voronoi
 
-from axijax.dynamics import Scene, initial_state, make_step, mass_per_cube, positions
+from axijax import Scene
+from axijax.dynamics import initial_state, make_step, positions
 from axijax.membrane import (
     build_membrane,
     cell_areas,
@@ -294,13 +295,13 @@ def test_spin_of_the_specimen_is_not_driven():
     place = network.positions + confined.displacement
     swirl = 1e-4
     still = jnp.zeros_like(place.x)
-    state = initial_state(network, scene, confined.platens)._replace(
+    state = initial_state(scene, params, network, confined.platens)._replace(
         displacement=confined.displacement,
         velocity=Vector(-swirl * place.y, swirl * place.x, still),
         spin=Vector(still, still, still + swirl),
     )
-    step = make_step(scene, lambda params, state, dt, push, section: jnp.zeros(2))
-    mass = mass_per_cube(params) * network.radius**3 * network.weight
+    step = make_step(scene, lambda params, network, dt, state, push, section: jnp.zeros(2))
+    mass = params.material.mass_per_cube * network.radius**3 * network.weight
 
     def momentum(state):
         x, y, _ = positions(network, state)
@@ -311,7 +312,8 @@ def test_spin_of_the_specimen_is_not_driven():
     def run(state):
         def block(state, _):
             load = membrane_load(membrane, positions(network, state), *state.platens)
-            state = jax.lax.fori_loop(0, 20, lambda _, s: step(params, network, load, test.time_step, s), state)
+            dt = test.prepared.time_step
+            state = jax.lax.fori_loop(0, 20, lambda _, s: step(params, network, load, dt, s), state)
             return state, momentum(state)
 
         return jax.lax.scan(block, state, None, length=40)

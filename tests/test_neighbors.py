@@ -6,9 +6,10 @@ import jax
 import numpy as np
 import pytest
 
-from axijax.neighbors import build_network, carry_springs, closing
+from axijax.neighbors import build_network, carry_memory, closing
 from axijax.packing import Specimen
 from axijax.sector import Sector
+from axijax.term import Memory
 from axijax.vector import Vector, from_rows
 
 ANY_OVERLAP = 1e9
@@ -149,7 +150,10 @@ def test_springs_stay_with_their_contacts_through_a_rebuild(order):
     shuffle = rng.permutation(new.first.size)
     new = replace(new, first=new.first[shuffle], second=new.second[shuffle], image=new.image[shuffle])
     springs = rng.normal(size=(3, old.first.size))  # where no contact is, too: these must not go anywhere
-    carried = np.asarray(carry_springs(old, new, from_rows(springs)))
+    kept = object()  # what is not of the contacts is no business of theirs
+    memory = carry_memory(old, new, (Memory(), Memory(from_rows(springs), kept)))
+    assert memory[0] == Memory() and memory[1].ball is kept
+    carried = np.asarray(memory[1].contact)
     had, has = listed(old), listed(new)
     assert had.keys() - has.keys() and has.keys() - had.keys() and len(had.keys() & has.keys()) > 20
     expected = np.zeros((3, new.first.size))

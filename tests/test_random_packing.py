@@ -3,12 +3,12 @@
 from dataclasses import replace
 from functools import lru_cache
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from axijax.contact import geometry
-from axijax.dynamics import Params, Scene, all_forces, initial_state, positions
+from axijax import Hertz, Params
+from axijax.contacts import geometry
+from axijax.dynamics import all_forces, initial_state, positions
 from axijax.grading import linear, sieve_curve, two_sizes, uniform
 from axijax.membrane import build_membrane, lateral_force, membrane_load
 from axijax.neighbors import build_network
@@ -73,17 +73,16 @@ def test_in_balance_platens_membrane_and_contacts_carry_the_same_stress():
                         confine_steps=200_000)  # fmt: skip
     state, balance = test.confine()
     assert float(balance.worst) <= 1e-5
-    scene = Scene(damping="none")
     place = positions(test.network, state)
     load = membrane_load(test.membrane, place, *state.platens)
-    params = replace(test.params, friction=report.compaction_friction)
-    forces = all_forces(scene, params, test.network, load, test.time_step, state._replace(velocity=place * 0.0,
-                        spin=place * 0.0))  # fmt: skip
+    params = replace(test.params, friction=report.compaction_friction, damping=None)
+    still = state._replace(velocity=place * 0.0, spin=place * 0.0)
+    forces = all_forces(test.scene, params, test.network, load, test.prepared.time_step, still)
     platen = float(forces.platen_push[0].sum())
     assert platen == pytest.approx(float(forces.platen_push[1].sum()), rel=1e-3)
     assert platen == pytest.approx(params.confining_stress * float(load.section), rel=1e-3)
 
-    branch, force = geometry(test.network, state.displacement).apart, forces.contacts.force
+    branch, force = geometry(test.network, state.displacement).branch, forces.contacts.force
     share = test.network.share
     inner = {axis: float((getattr(force, axis) * getattr(branch, axis) * share).sum()) for axis in "xyz"}
     z = np.asarray(place.z)
@@ -104,10 +103,11 @@ def test_a_random_specimen_of_hertzian_balls_knows_no_units():
     curves = []
     for unit in (1.0, 8.0):
         params = Params(
-            friction=0.3, shear_modulus=1e9 * unit, confining_stress=5e4 * unit, density=2000.0 * unit, platen_speed=0.3
-        )
+            Hertz(friction=0.3, shear_modulus=1e9 * unit, density=2000.0 * unit),
+            confining_stress=5e4 * unit, platen_speed=0.3,
+        )  # fmt: skip
         test = TriaxialTest(
-            specimen, sector, Scene(contact_law="hertz"), params, axial_strain=0.02, time_step=0.02,
+            specimen, sector, params=params, axial_strain=0.02, time_step=0.02,
             confining_friction=report.compaction_friction, tolerance=1e-3, confine_steps=100_000,
         )  # fmt: skip
         curves.append(test.run().curve)
@@ -126,7 +126,7 @@ def test_any_image_may_represent_a_ball():
     for balls in (cut, wandered):
         network = build_network(balls, sector)
         membrane = build_membrane(balls, sector)
-        state = initial_state(network, test.scene, jnp.asarray([cut.bottom, cut.top]))
+        state = initial_state(test.scene, params, network, [cut.bottom, cut.top])
         load = membrane_load(membrane, network.positions, cut.bottom, cut.top)
         results.append(np.asarray(all_forces(test.scene, params, network, load, 1e-3, state).resultant))
     scale = np.abs(results[0]).max()

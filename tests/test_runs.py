@@ -72,7 +72,7 @@ def test_the_folder_tells_what_was_run(finished):
     assert info["jax"] == jax.__version__ and info["numpy"] == np.__version__ and info["machine"]["cores"] >= 1
     assert info["seconds"] > 0 and info["started"] <= info["ended"] and info["command"][0] == "axijax"
     case = load_case(folder / "case.toml")
-    assert case.test.time_step == case.build().time_step, "every value is filled in"
+    assert case.test.time_step == case.build().prepared.time_step, "every value is filled in"
     assert case.with_test(time_step=None) == Case.model_validate(tomllib.loads(SMALL))
     with open(folder / "curve.csv") as file:
         assert "axial_strain" in file.read(400)
@@ -85,7 +85,7 @@ def test_a_pipe_gets_a_few_plain_lines(finished):
     assert "26 balls" in lines[0] and "confined in" in lines[1] and "peak stress ratio" in lines[2]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interrupted_and_resumed_is_the_run_that_never_stopped(number, finished, tmp_path, monkeypatch):
     folder = tmp_path / "small"
     called = interrupted(folder, monkeypatch, number=number)

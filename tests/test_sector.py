@@ -14,11 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from axijax.dynamics import Params, Scene, all_forces, initial_state, make_step, positions
+from axijax import Params, Scene
+from axijax.dynamics import all_forces, initial_state, make_step, positions
 from axijax.membrane import Load
-from axijax.neighbors import build_network, carry_springs
+from axijax.neighbors import build_network, carry_memory
 from axijax.packing import Specimen, cut_to_sector, fcc_octagon
-from axijax.sector import Sector, radial_distance
+from axijax.sector import ON_AXIS, Sector, radial_distance
 from axijax.vector import from_rows
 
 TRAP_RATE = 0.1
@@ -60,7 +61,7 @@ def specimen_of(positions, radius=1.0, platens=FAR_PLATENS):
 
 
 def state_of(network, motion, platens):
-    still = initial_state(network, SCENE, jnp.array(platens))
+    still = initial_state(SCENE, PARAMS, network, platens)
     return still._replace(velocity=from_rows(motion.velocity), spin=from_rows(motion.spin))
 
 
@@ -197,8 +198,8 @@ def orbit(sector, params, motion, first_turns, sliding=None):
         old = replace(network, image=jnp.asarray(relabelled))
         motion, turns = turned(sector, motion, home), turns + home
         network = build(specimen_of(motion.positions, platens=platens))
-        spring = carry_springs(old, network, from_rows(sector.rotate(spring, home[0])))
-        state = state_of(network, motion, state.platens)._replace(spring=spring, time=state.time)
+        memory = carry_memory(old, network, state.with_spring(from_rows(sector.rotate(spring, home[0]))).memory)
+        state = state_of(network, motion, state.platens)._replace(memory=memory, time=state.time)
     return records
 
 
@@ -247,7 +248,7 @@ def test_pair_near_a_plane_feels_the_force_of_the_pair_turned_into_the_interior(
         assert int(network.image[0]) == expected_image
         springs = np.zeros((3, network.first.size))
         springs[:, 0] = sector.rotate(spring, first_turns[0])
-        state = state_of(network, motion, FAR_PLATENS)._replace(spring=from_rows(springs))
+        state = state_of(network, motion, FAR_PLATENS).with_spring(from_rows(springs))
         forces = forces_on(SCENE, PARAMS, network, NO_LOAD, STEP, state)
         on_balls = [sector.rotate(np.asarray(v), -np.asarray(first_turns)) for v in (forces.resultant, forces.moment)]
         return *on_balls, sector.rotate(np.asarray(forces.contacts.spring), -first_turns[0])[:, 0]
@@ -270,30 +271,30 @@ def pressed_octagon(radius=1.0):
 
 
 @pytest.mark.parametrize("order", [1, 2, 4])
-@pytest.mark.parametrize("friction", [False, True])
+@pytest.mark.parametrize("friction", [None, 0.3])
 def test_rigid_swirl_makes_no_force(order, friction):
     """A pressed specimen that spins rigidly about its axis feels the forces of one at rest, turned with it.
 
     Images that were mirrored would collide with the swirl. With friction nothing slips either.
     """
-    sector, scene = Sector(order), Scene(friction=friction)
+    sector, params = Sector(order), replace(PARAMS, friction=friction)
     network = build_network(cut_to_sector(pressed_octagon(), sector), sector)
     place = np.asarray(network.positions)
     rate, angle = 0.1, 0.02
     turn = rotation(angle)
     axis = np.array([[0.0], [0.0], [1.0]])
-    rest = initial_state(network, scene, jnp.array([-9.0, 9.0]))
+    rest = initial_state(SCENE, params, network, [-9.0, 9.0])
     swirl = rest._replace(
         displacement=from_rows(turn @ place - place),
         velocity=from_rows(rate * np.cross(axis, turn @ place, axis=0)),
-        spin=from_rows(rate * axis * np.ones_like(place)) if friction else None,
+        spin=from_rows(rate * axis * np.ones_like(place)) if friction is not None else None,
     )
     no_load = Load(jnp.zeros(place.shape[1]), jnp.ones(()))
-    expected, found = (forces_on(scene, PARAMS, network, no_load, STEP, state) for state in (rest, swirl))
+    expected, found = (forces_on(SCENE, params, network, no_load, STEP, state) for state in (rest, swirl))
     assert np.abs(np.asarray(expected.resultant)).max() > 1e-3
     resultants = [np.asarray(forces.resultant) for forces in (found, expected)]
     np.testing.assert_allclose(resultants[0], turn @ resultants[1], rtol=0, atol=1e-14)
-    if friction:
+    if friction is not None:
         np.testing.assert_allclose(np.asarray(found.moment), 0, atol=1e-14)
 
 
@@ -428,3 +429,10 @@ def crowded(order, rng):
             continue
         positions, radius = trial.positions, trial.radius
     return specimen_of(positions, radius)
+
+
+@pytest.mark.parametrize(("distance", "on"), [(0.0, True), (0.9, True), (1.1, False)])
+def test_a_ball_is_on_the_axis_within_a_millionth_of_its_radius(distance, on):
+    radius = 20.0
+    place = np.array([[distance * 1e-6 * radius], [0.0], [5.0]])
+    assert Sector(4).on_axis(place, radius)[0] == on and ON_AXIS == 1e-6

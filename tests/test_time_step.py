@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 
-from axijax import theory
+from axijax import Dashpot, LocalDamping, Params, Scene, theory
 from axijax.curve import CHATTER, SimulationError
-from axijax.dynamics import Params, Scene, initial_state, make_step, positions
+from axijax.dynamics import initial_state, make_step, positions
 from axijax.membrane import Load, membrane_load
 from axijax.neighbors import build_network
 from axijax.packing import Specimen, cut_to_sector, fcc_octagon
@@ -25,8 +25,8 @@ from axijax.vector import Vector
 RADIUS, STIFFNESS, DENSITY = 20.0, 1.5e9, 2000.0
 MASS = 4 / 3 * np.pi * RADIUS**3 * DENSITY
 UNIT = (MASS / STIFFNESS) ** 0.5  # sqrt(m/K)
+SCENE = Scene()
 QUARTER, FULL, RIGID = Sector(4), Sector(1), Sector(4, "rigid")
-UNDAMPED = Scene(damping="none")
 
 
 @lru_cache
@@ -34,9 +34,9 @@ def octagon_network(sector, layers=25, half_width=9):
     return build_network(cut_to_sector(fcc_octagon(RADIUS, layers, half_width), sector), sector)
 
 
-def limit(network, scene=UNDAMPED, **params):
-    """Critical time step over sqrt(m/K)."""
-    return critical_time_step(scene, Params(**params), network) / UNIT
+def limit(network, scene=SCENE, damping=None, **params):
+    """Critical time step over sqrt(m/K), undamped by default."""
+    return critical_time_step(scene, Params(damping=damping, **params), network) / UNIT
 
 
 def loose(points, **options):
@@ -70,12 +70,12 @@ def test_the_quarter_has_the_modes_of_the_full_cylinder_that_it_can_have():
 
 
 def test_without_rotation():
-    assert 0.5 < limit(octagon_network(QUARTER), Scene(rotation=False, damping="none")) < 0.5 * 1.005
+    assert 0.5 < limit(octagon_network(QUARTER), Scene(rotation=False)) < 0.5 * 1.005
 
 
 def test_without_friction_nothing_but_the_normal_springs_counts():
     """FCC's translation mode sqrt(8 kn/m): 2 / sqrt(8)."""
-    assert 0.5**0.5 < limit(octagon_network(QUARTER), Scene(friction=False, damping="none")) < 0.5**0.5 * 1.02
+    assert 0.5**0.5 < limit(octagon_network(QUARTER), friction=None) < 0.5**0.5 * 1.02
 
 
 def test_one_pair():
@@ -101,16 +101,14 @@ def test_stiffness_ratio_and_dashpots(stiffness_ratio, damping_ratio):
     """Against the lattice's two modes. Around ks/kn = 0.2 dashpots make the spin mode the worst although it is not
     the fastest: there 2/omega (sqrt(1 + xi^2) - xi) of the fastest mode alone is up to 46 % too long."""
     expected = theory.lattice_critical_time_step("fcc", MASS, STIFFNESS, stiffness_ratio * STIFFNESS, damping_ratio)
-    found = limit(
-        octagon_network(QUARTER), Scene(), shear_stiffness=stiffness_ratio * STIFFNESS, damping_ratio=damping_ratio
-    )
+    found = limit(octagon_network(QUARTER), damping=Dashpot(damping_ratio), shear_stiffness=stiffness_ratio * STIFFNESS)
     assert 1 < found / (float(expected) / UNIT) < 1.035
 
 
 @pytest.mark.parametrize(("damping_ratio", "known"), [(0.05, 0.25), (0.1, 0.21), (0.3, 0.105)])
 def test_dashpots_lower_the_limit(damping_ratio, known):
     """The lattice's values of PHYSICS 3.5, given to two or three figures; the octagon is 2 % above at most."""
-    assert limit(octagon_network(QUARTER), Scene(), damping_ratio=damping_ratio) == pytest.approx(known, rel=0.03)
+    assert limit(octagon_network(QUARTER), damping=Dashpot(damping_ratio)) == pytest.approx(known, rel=0.03)
 
 
 # Scenes whose step is linearised: sector, scene, and what of the parameters differs from the paper's.
@@ -126,7 +124,7 @@ LINEARISED = {
 }
 
 
-def still(params, state, dt, push, section):
+def still(params, network, dt, state, push, section):
     """A drive that holds the platens."""
     return jnp.zeros(2, push.dtype)
 
@@ -134,9 +132,9 @@ def still(params, state, dt, push, section):
 def squeezed(sector, scene, layers=5):
     """Network and state of a small octagon with every contact closed and nothing near the Coulomb limit."""
     network = octagon_network(sector, layers, 3)
-    place = positions(network, initial_state(network, scene, jnp.zeros(2)))
+    place = positions(network, initial_state(scene, Params(), network, jnp.zeros(2)))
     platens = jnp.array([0.0, RADIUS * (2 + (layers - 1) * 2**0.5)])
-    state = initial_state(network, scene, platens)
+    state = initial_state(scene, Params(), network, platens)
     middle = platens.mean()
     shrink = Vector(place.x, place.y, place.z - middle) * -1e-6
     return network, state._replace(displacement=shrink, platens=middle + (platens - middle) * (1 - 2e-6))
@@ -154,7 +152,7 @@ def linearised_step(sector, scene):
     def matrix(params, dt):
         def one_step(moved):
             displacement, velocity, spin, spring = shape(moved)
-            before = state._replace(displacement=displacement, velocity=velocity, spin=spin, spring=spring)
+            before = state._replace(displacement=displacement, velocity=velocity, spin=spin).with_spring(spring)
             after = step(params, network, Load(balls, jnp.ones(())), dt, before)
             return ravel_pytree((after.displacement, after.velocity, after.spin, after.spring))[0]
 
@@ -185,7 +183,7 @@ def test_a_disturbance_blows_up_above_the_limit_and_not_below():
     test = TriaxialTest(fcc_octagon(layers=3, half_width=3), params=undamped)
     confined, _ = test.confine()
     network, scene = test.network, test.scene
-    start = initial_state(network, scene, confined.platens)._replace(displacement=confined.displacement)
+    start = initial_state(scene, undamped, network, confined.platens)._replace(displacement=confined.displacement)
     load = membrane_load(test.membrane, positions(network, start), *start.platens)
     noise = np.random.default_rng(1).standard_normal((3, network.radius.size)) * np.asarray(network.free)
     step = make_step(scene, still)
@@ -206,14 +204,13 @@ def test_a_disturbance_blows_up_above_the_limit_and_not_below():
         assert not spread[1] < 1e10
 
 
-@pytest.mark.parametrize("damping", ["dashpot", "local", "none"])
+@pytest.mark.parametrize("damping", [Dashpot(), LocalDamping(), None])
 def test_a_step_above_the_safe_one_is_refused_with_the_limit(damping):
-    specimen, scene = fcc_octagon(layers=3, half_width=3), Scene(damping=damping)
-    default = TriaxialTest(specimen, scene=scene)
-    critical = critical_time_step(scene, default.params, default.network)
-    assert default.time_step < SAFE_STEP * critical
+    default = TriaxialTest(fcc_octagon(layers=3, half_width=3), params=Params(damping=damping))
+    critical = critical_time_step(default.scene, default.params, default.network)
+    assert default.prepared.time_step < SAFE_STEP * critical
     accepted = replace(default, time_step=0.999 * SAFE_STEP * critical)
-    assert accepted.time_step == 0.999 * SAFE_STEP * critical
+    assert accepted.prepared.time_step == 0.999 * SAFE_STEP * critical
     with pytest.raises(ValueError) as caught:
         replace(default, time_step=1.001 * SAFE_STEP * critical)
     for number in (1.001 * SAFE_STEP * critical, SAFE_STEP * critical, critical):
@@ -228,7 +225,7 @@ def test_a_safe_step_of_the_tests_parameters_is_not_one_of_others():
 
 
 @lru_cache
-def peak(damping, step, friction, damping_ratio=0.05, boundary="periodic", axial_strain=0.006):
+def peak(damping, step, friction, boundary="periodic", axial_strain=0.006):
     """Peak stress ratio of the paper's quarter at a step in sqrt(m/K), and the error that was raised, if any.
 
     Any warning, such as that of chatter before the peak, is an error here.
@@ -236,8 +233,7 @@ def peak(damping, step, friction, damping_ratio=0.05, boundary="periodic", axial
     test = TriaxialTest(
         fcc_octagon(),
         Sector(4, boundary),
-        Scene(damping=damping),
-        Params(friction=friction, damping_ratio=damping_ratio),
+        params=Params(friction=friction, damping=damping),
         axial_strain=axial_strain,
         time_step=step * UNIT,
         tolerance=1e-5,
@@ -252,20 +248,20 @@ def peak(damping, step, friction, damping_ratio=0.05, boundary="periodic", axial
 @pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
-    ("damping", "step", "friction", "damping_ratio"),
+    ("damping", "step", "friction"),
     [
-        ("local", 0.30, 0.3, 0.0),
-        ("local", 0.32, 0.3, 0.0),
-        ("local", 0.32, 0.12278, 0.0),
-        ("dashpot", 0.15, 0.3, 0.3),
-        ("dashpot", 0.15, 0.2, 0.3),
-        ("dashpot", 0.15, 0.05, 0.3),
+        (LocalDamping(), 0.30, 0.3),
+        (LocalDamping(), 0.32, 0.3),
+        (LocalDamping(), 0.32, 0.12278),
+        (Dashpot(0.3), 0.15, 0.3),
+        (Dashpot(0.3), 0.15, 0.2),
+        (Dashpot(0.3), 0.15, 0.05),
     ],
 )
-def test_the_guard_catches_the_silent_wrong_peaks(damping, step, friction, damping_ratio):
+def test_the_guard_catches_the_silent_wrong_peaks(damping, step, friction):
     """PHYSICS 3.5: past the limit the Coulomb cap hides the instability; the peak is finite, plausible and wrong."""
-    wrong, error = peak(damping, step, friction, damping_ratio)
-    right, none = peak("dashpot", 0.1, friction)
+    wrong, error = peak(damping, step, friction)
+    right, none = peak(Dashpot(), 0.1, friction)
     assert none is None
     assert 1 < wrong < 0.99 * right, "wrong, without any other sign"
     assert error is not None and int(error.curve.status) == UNSTABLE
@@ -276,23 +272,23 @@ def test_the_guard_catches_the_silent_wrong_peaks(damping, step, friction, dampi
 @pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
-    ("damping", "step", "friction", "damping_ratio", "boundary", "axial_strain"),
+    ("damping", "step", "friction", "boundary", "axial_strain"),
     [
-        ("local", 0.17, 0.3, 0.0, "periodic", 0.006),
-        ("local", 0.24, 0.3, 0.0, "periodic", 0.006),
-        ("local", 0.25, 0.05, 0.0, "periodic", 0.006),
-        ("local", 0.25, 0.12278, 0.0, "periodic", 0.05),
-        ("local", 0.25, 0.12278, 0.0, "rigid", 0.006),
-        ("dashpot", 0.15, 0.02, 0.05, "periodic", 0.006),
-        ("dashpot", 0.15, 0.12278, 0.05, "rigid", 0.006),
-        ("dashpot", 0.15, 0.3, 0.1, "periodic", 0.006),
-        ("dashpot", 0.15, 0.3, 0.05, "periodic", 0.05),
-        ("dashpot", 0.15, 0.9, 0.05, "periodic", 0.02),
-        ("dashpot", 0.08, 0.3, 0.3, "periodic", 0.006),
+        (LocalDamping(), 0.17, 0.3, "periodic", 0.006),
+        (LocalDamping(), 0.24, 0.3, "periodic", 0.006),
+        (LocalDamping(), 0.25, 0.05, "periodic", 0.006),
+        (LocalDamping(), 0.25, 0.12278, "periodic", 0.05),
+        (LocalDamping(), 0.25, 0.12278, "rigid", 0.006),
+        (Dashpot(0.05), 0.15, 0.02, "periodic", 0.006),
+        (Dashpot(0.05), 0.15, 0.12278, "rigid", 0.006),
+        (Dashpot(0.1), 0.15, 0.3, "periodic", 0.006),
+        (Dashpot(0.05), 0.15, 0.3, "periodic", 0.05),
+        (Dashpot(0.05), 0.15, 0.9, "periodic", 0.02),
+        (Dashpot(0.3), 0.08, 0.3, "periodic", 0.006),
     ],
 )
-def test_the_guard_raises_no_false_alarm(damping, step, friction, damping_ratio, boundary, axial_strain):
-    assert peak(damping, step, friction, damping_ratio, boundary, axial_strain)[1] is None
+def test_the_guard_raises_no_false_alarm(damping, step, friction, boundary, axial_strain):
+    assert peak(damping, step, friction, boundary, axial_strain)[1] is None
 
 
 @pytest.mark.slow
@@ -301,6 +297,6 @@ def test_local_damping_at_a_quarter_has_the_right_peak():
     chatter on the way up, of which `run` warns, and are quiet at the peak, which is right."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found, error = peak("local", 0.25, 0.3, 0.0)
+        found, error = peak(LocalDamping(), 0.25, 0.3)
     assert error is None
-    assert found == pytest.approx(peak("dashpot", 0.1, 0.3)[0], rel=3e-3)
+    assert found == pytest.approx(peak(Dashpot(), 0.1, 0.3)[0], rel=3e-3)

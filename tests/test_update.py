@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 from test_neighbors import ANY_OVERLAP, every_pair, from_both_sides, listed, random_balls
 
-from axijax import triaxial
-from axijax.confinement import current_load
+from axijax import Params, progress
 from axijax.curve import SimulationError
-from axijax.dynamics import Params
-from axijax.neighbors import build_network, carry_springs
+from axijax.engine import current_load
+from axijax.neighbors import Grid, build_network, carry, carry_memory
 from axijax.packing import fcc_octagon
 from axijax.sector import Sector
+from axijax.status import FULL_LIST, NOT_FINITE, STALE_LIST
+from axijax.term import Memory
 from axijax.triaxial import TriaxialTest
-from axijax.update import FULL_LIST, NOT_FINITE, STALE_LIST, Grid, allocate, update
+from axijax.update import contact_list, update
 from axijax.vector import from_rows
 
 SKIN = 0.3
@@ -26,7 +27,14 @@ WIDTH, CONTACTS = 124, 624  # enough for every order: few programs are compiled
 GRID = Grid((5, 5, 4), 90)
 
 jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
-found_again = jit(update, static_argnums=0)
+
+def found_again(grid, network, displacement, springs):
+    """The list found again with this grid, the springs carried to it, and the status."""
+    made = update(displacement, replace(network, grid=grid))
+    return made, carry(network, made, springs), made.status
+
+
+plain, found_again = found_again, jit(found_again, static_argnums=0)
 
 
 def scene(order, dtype=np.float64, boundary="periodic", seed=0):
@@ -57,11 +65,12 @@ def test_updated_list_is_that_of_every_pair_and_of_the_host(order, boundary):
     assert len(both) == len(set(both)) and set(both) == set(pairs)
     assert set(listed(made)) != set(listed(network)), "the motion must change the list"
     host = build_network(after, sector, SKIN, WIDTH, CONTACTS, ANY_OVERLAP)
-    for name in (field.name for field in fields(host) if field.name != "sector"):
+    for name in (field.name for field in fields(host) if field.name not in ("sector", "grid")):
         ours, theirs = np.asarray(getattr(made, name)), np.asarray(getattr(host, name))
         assert ours.dtype == theirs.dtype
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-14, err_msg=name)
-    np.testing.assert_array_equal(np.asarray(carried), np.asarray(carry_springs(network, host, springs)))
+    by_host = carry_memory(network, host, (Memory(springs),))[0].contact
+    np.testing.assert_array_equal(np.asarray(carried), np.asarray(by_host))
     force = made.sum_on_balls(made.branch * (made.image >= 0), reaction=-1)
     expected = np.zeros((3, len(specimen)))
     for (i, _, _), branch in pairs.items():
@@ -154,7 +163,8 @@ def test_a_specimen_may_outgrow_its_grid():
 
 def test_allocate_leaves_room():
     specimen, sector, _, _ = scene(4)
-    network, grid = allocate(specimen, sector, SKIN, room=1.5, largest_overlap=ANY_OVERLAP)
+    network = contact_list(sector, SKIN, capacity_multiplier=1.5, largest_overlap=ANY_OVERLAP).allocate(specimen)
+    grid = network.grid
     tight = build_network(specimen, sector, SKIN, largest_overlap=ANY_OVERLAP)
     assert network.slot.shape[0] >= 1.5 * tight.slot.shape[0] and network.first.size >= 1.5 * tight.first.size
     assert listed(network) == listed(tight)
@@ -171,7 +181,7 @@ def test_derivatives_pass_through_an_update():
 
     def results(h):
         displacement = from_rows(moves) + from_rows(along) * h
-        made, kept, _ = update(GRID, network, displacement, springs + springs_along * h)
+        made, kept, _ = plain(GRID, network, displacement, springs + springs_along * h)
         return made.branch, made.distance, made.overlap, made.positions, kept
 
     value_and_tangent = jit(lambda h: jax.jvp(results, (h,), (1.0,)))
@@ -196,8 +206,8 @@ def shear():
         return jit(lambda f: jax.jvp(lambda f: test.simulate(replace(params, friction=f)), (f,), (1.0,)))(0.12278)
 
     with pytest.MonkeyPatch.context() as patch:
-        rebuilt = mock.Mock(side_effect=triaxial.rebuilt)
-        patch.setattr(triaxial, "rebuilt", rebuilt)
+        rebuilt = mock.Mock(side_effect=progress.rebuilt)
+        patch.setattr(progress, "rebuilt", rebuilt)
         run = kept.run().curve
     assert rebuilt.call_count > 0, "the host must have made its lists anew"
     return run, curve_and_tangent(kept), curve_and_tangent(renewed)
@@ -223,7 +233,7 @@ def test_lists_are_made_anew_between_records():
         tolerance=1e-4, refresh=False,
     )  # fmt: skip
     within = []
-    seldom = replace(often, record_every=1000).run(progress=lambda now: within.append(now.done)).curve
+    seldom = replace(often, record_every=1000).run(progress=lambda now: within.append(now.due % 1000)).curve
     assert max(within) > 0, "a list must have been worn in the middle of a block"
     found = often.run().curve.stress_ratio[::20]
     assert seldom.stress_ratio.size > 4

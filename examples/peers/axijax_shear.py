@@ -5,8 +5,8 @@
 Started by `peers.Ours`, pinned to its cores before JAX counts them. Prints a line of JSON when it is ready, and one for
 every line of JSON on its standard input: {} runs once more, {"friction": 0.2} with that friction.
 
-Options: specimen (of fcc_octagon), order, test (of TriaxialTest), params, damping, dtype, share (of the critical time
-step), lattice (rotation blocked, stiffness times ten, loaded as the infinite lattice), and
+Options: specimen (of fcc_octagon), order, test (of TriaxialTest), params, damping ("dashpot" or "local"), dtype, share
+(of the critical time step), lattice (rotation blocked, stiffness times ten, loaded as the infinite lattice), and
 what: "shear" is the shear alone from the confined state, `blocks` records of 50 steps with fixed cells, as the peers do
     it; "whole" is confinement and shear, what a user waits for; "slopes" is the shear of the test, read by peak
     functionals, for derivatives with respect to friction, on which the confined state does not depend.
@@ -26,7 +26,6 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from unittest import mock
 
 BEGAN = time.perf_counter()
 
@@ -44,8 +43,9 @@ DIRECTIONS = ("friction", "normal_stiffness", "shear_stiffness")
 def make_test(options) -> axijax.TriaxialTest:
     specimen = axijax.fcc_octagon(**options.get("specimen", {}))
     sector = axijax.Sector(options.get("order", 4))
-    scene = axijax.Scene(damping=options.get("damping", "dashpot"))
-    params = axijax.Params(**options.get("params", {}))
+    scene = axijax.Scene()
+    damping = {"dashpot": {}, "local": {"damping": axijax.LocalDamping()}}[options.get("damping", "dashpot")]
+    params = axijax.Params(**damping, **options.get("params", {}))
     keywords = {"tolerance": 1e-2, "dtype": np.dtype(options.get("dtype", "float64")).type, **options.get("test", {})}
     if options.get("lattice"):
         from axijax.lattice import lattice_load
@@ -57,11 +57,11 @@ def make_test(options) -> axijax.TriaxialTest:
     if len(specimen) // sector.order >= LARGE:
         # The critical step of the lattice is that of a few layers of it.
         small = axijax.TriaxialTest(axijax.fcc_octagon(layers=7), axijax.Sector(4), scene, params)
-        with mock.patch("axijax.triaxial.critical_time_step", lambda *_: small.time_step / DEFAULT_STEP):
-            return axijax.TriaxialTest(specimen, sector, scene, params, **keywords)
+        known = {"time_step": small.prepared.time_step, "allow_unsafe_step": True}
+        return axijax.TriaxialTest(specimen, sector, scene, params, **known, **keywords)
     test = axijax.TriaxialTest(specimen, sector, scene, params, **keywords)
     share = options.get("share", DEFAULT_STEP)
-    return test if share == DEFAULT_STEP else replace(test, time_step=test.time_step * share / DEFAULT_STEP)
+    return test if share == DEFAULT_STEP else replace(test, time_step=test.prepared.time_step * share / DEFAULT_STEP)
 
 
 def functionals(curve):
@@ -88,22 +88,25 @@ class Program:
 
     def _shear(self, options, test):
         from axijax.curve import make_curve
-        from axijax.shear import fixed_load, shear, start_shear
+        from axijax.engine import fixed_load, march
+        from axijax.stages import start_shear
 
         confined, balance = test.confine()
-        prepared = test.prepared(test.network, test.membrane)
-        state = start_shear(test.scene, test.network, confined)
+        prepared = test.prepared
+        state = start_shear(test.scene, test.params, prepared.lists, confined)
         slopes = options.get("what") == "slopes"
-        protocol = test.protocol if slopes else replace(test.protocol, refresh=False, blocks=options["blocks"])
-        fixed = fixed_load(protocol, prepared, state)
+        records = prepared.numerics.records if slopes else options["blocks"]
+        fixed = fixed_load(slopes and test.refresh, prepared.lateral_load, prepared.lists, state)
         if "scene" in options:
             import peers
 
             peers.write_scene(Path(options["scene"]), test, state, fixed)
-        self.steps = protocol.blocks * protocol.block_steps
+        self.steps = records * test.record_every
 
         def function(params, prepared, state, fixed):
-            seen = shear(test.scene, protocol, prepared, params, state, fixed)[1]
+            lists, dt = prepared.lists, prepared.time_step
+            size = records, test.record_every, 0
+            seen = march(test.scene, prepared.shear, *size, lists, dt, params, state, fixed)[1]
             return functionals(make_curve(seen, balance)) if slopes else seen.stress_ratio
 
         return function, (prepared, state, fixed)
@@ -158,7 +161,7 @@ class Program:
             "platform": jax.default_backend(),
             "balls": len(self.test.cut),
             "steps": getattr(self, "steps", 0),
-            "time_step": self.test.time_step,
+            "time_step": self.test.prepared.time_step,
             "compile_seconds": self.compile_seconds,
             "setup_seconds": time.perf_counter() - BEGAN - self.compile_seconds,
             "program_bytes": held,
@@ -170,11 +173,11 @@ class Program:
         """Bytes moved per ball-step: as the compiled step does it, and at the least (everything once); and the
         device's bandwidth [bytes/s], measured by a copy far larger than its caches."""
         from axijax.dynamics import make_step
-        from axijax.shear import platen_ramp
 
-        params, (network, *_, dt, ramp_time, _), state, fixed = self.arguments
-        step = jax.jit(make_step(self.test.scene, platen_ramp(ramp_time)))
-        cost = step.lower(params, network, fixed, dt, state).compile().cost_analysis()
+        params, prepared, state, fixed = self.arguments
+        network = prepared.network
+        step = jax.jit(make_step(self.test.scene, prepared.shear.platen_speeds))
+        cost = step.lower(params, network, fixed, prepared.time_step, state).compile().cost_analysis()
         nbytes = [sum(x.nbytes for x in jax.tree.leaves(tree) if hasattr(x, "nbytes")) for tree in (network, state)]
         big = jnp.zeros(2**27 if jax.default_backend() != "cpu" else 2**25, jnp.float32)
         copy = jax.jit(lambda x: x + 1)
@@ -203,8 +206,7 @@ def batch(program: Program, tests: int) -> dict:
     seconds = time.perf_counter() - began
     if result.failures:
         raise RuntimeError(f"batch: {result.failures}")
-    duration = test.axial_strain * test.cut.height / 2 / float(test.params.platen_speed) + test.ramp_time / 2
-    shear = 1000 * np.ceil(duration / test.time_step / 1000)
+    shear = test.prepared.numerics.records * test.record_every
     steps = sum(float(curve.confinement.steps) + shear for curve in result.curves.values())
     return {"seconds": seconds, "steps": steps / tests}
 
@@ -235,11 +237,11 @@ def timed(program: Program, options, friction):
     elif what == "slopes":
         reply |= {"peak": result[0], "window": result[1]}
     elif what == "whole":
-        protocol, spent = program.test.protocol, int(result.confinement.steps)
+        spent = int(result.confinement.steps)
         reply |= {
             "peak": result.stress_ratio.max(),
             "strain_at_peak": result.axial_strain[result.stress_ratio.argmax()],
-            "steps": spent + protocol.blocks * protocol.block_steps,
+            "steps": spent + program.test.prepared.numerics.records * program.test.record_every,
             "confine_steps": spent,
             "status": result.status,
         }

@@ -49,10 +49,14 @@ def write_scene(path: Path, test, state, load) -> None:
     """
     if test.sector.order != 1 or np.ptp(test.cut.radius) > 0:
         raise ValueError("peers take the full cylinder (sector order 1) of equal balls.")
+    from axijax.damping import LocalDamping
     from axijax.dynamics import positions
     from axijax.quantity import values_of
 
     params = test.params
+    # Peers may be asked for local damping where ours has dashpots.
+    numbers = {"local_damping": LocalDamping().local_damping}
+    numbers |= {name: float(value) for name, value in values_of(params).items()}
     np.savez(
         path,
         positions=np.asarray(positions(test.network, state)),
@@ -62,7 +66,7 @@ def write_scene(path: Path, test, state, load) -> None:
         section=float(load.section),
         time_step=test.prepared.time_step,
         ramp_time=test.prepared.shear.ramp_time,
-        **{name: float(value) for name, value in values_of(params).items()},
+        **numbers,
     )
 
 

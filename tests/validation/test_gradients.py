@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from axijax import Scene, Sector, TriaxialTest, fcc_octagon
+from axijax import Params, Sector, TriaxialTest, fcc_octagon
 
 
 def window_mean(curve, low, high):
@@ -78,7 +78,11 @@ def test_friction_per_ball_adds_up_to_the_scenes(small):
     assert float(along) == pytest.approx(float(common), rel=1e-9)
 
 
-def test_a_scene_without_friction_ignores_the_coefficient(small):
-    lean = TriaxialTest(small.specimen, small.sector, scene=Scene(friction=False), axial_strain=0.001, record_every=20)
-    _, slope = jax.jvp(lambda f: lean.simulate(replace(lean.params, friction=f)).stress_ratio[-1], (0.1,), (1.0,))
+def test_without_friction_there_is_no_coefficient_and_no_tangential_spring(small):
+    params = Params(friction=None)
+    assert len(jax.tree.leaves(params)) == len(jax.tree.leaves(small.params)) - 1
+    lean = TriaxialTest(small.specimen, small.sector, params=params, axial_strain=0.001, record_every=20)
+    _, slope = jax.jvp(
+        lambda ks: lean.simulate(replace(params, shear_stiffness=ks)).stress_ratio[-1], (1.5e9,), (1.5e8,)
+    )
     assert float(slope) == 0.0

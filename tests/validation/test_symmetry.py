@@ -8,7 +8,6 @@ from axijax import Sector, TriaxialTest, fcc_octagon, raise_for_status
 from axijax.dynamics import initial_state, make_step, positions
 from axijax.membrane import membrane_load
 from axijax.packing import cut_to_sector
-from axijax.shear import platen_ramp
 
 ORDERS = (1, 2, 4)
 
@@ -16,7 +15,7 @@ ORDERS = (1, 2, 4)
 @pytest.fixture(scope="module")
 def tests():
     """The paper's specimen with one time step for all orders, so that records fall on the same strains."""
-    step = TriaxialTest(fcc_octagon(), Sector(1)).time_step
+    step = TriaxialTest(fcc_octagon(), Sector(1)).prepared.time_step
     return {n: TriaxialTest(fcc_octagon(), Sector(n), axial_strain=0.004, time_step=step) for n in ORDERS}
 
 
@@ -42,13 +41,13 @@ def test_positions_agree_from_one_symmetric_state(tests):
         full = cut_to_sector(fcc_octagon(), Sector(n))
         image, ball = _which(quarter, full.positions)
         displacement = Sector(4).rotate(np.asarray(confined.displacement)[:, ball], image)
-        state = initial_state(test.network, test.scene, confined.platens)
+        state = initial_state(test.scene, test.params, test.network, confined.platens)
         state = state._replace(displacement=type(state.displacement)(*displacement))
-        step = make_step(test.scene, platen_ramp(test.ramp_time))
+        step = make_step(test.scene, test.prepared.shear.platen_speeds)
         load = membrane_load(test.membrane, positions(test.network, state), *state.platens)
 
         def advance(s, step=step, test=test, load=load):
-            body = lambda s, _: (step(test.params, test.network, load, test.time_step, s), None)  # noqa: E731
+            body = lambda s, _: (step(test.params, test.network, load, test.prepared.time_step, s), None)  # noqa: E731
             return jax.lax.scan(body, s, None, length=200)[0]
 
         moved[n] = np.asarray(positions(test.network, jax.jit(advance)(state))), image, ball
