@@ -42,9 +42,10 @@ def value(spring: Vector, rate: Vector, stiffness, viscosity, limit, dt) -> tupl
     if viscosity is not None:
         trial = trial + rate * viscosity
     square = trial.dot(trial)
-    # Without slip it would be 0/0, in value and tangent. The cap is a minimum, not a choice by `sliding`: the compiler
-    # makes a condition anew wherever it is used, rounded differently, so two choices by it need not agree.
-    per_size = 1 / jnp.sqrt(jnp.maximum(square, jnp.finfo(square.dtype).tiny))
+    # Without slip it would be 0/0, in value and tangent; a spring at rest is far below any limit but zero. The cap is a
+    # minimum, not a choice by `sliding`: the compiler makes a condition anew wherever it is used, rounded differently,
+    # so two choices by it need not agree.
+    per_size = 1 / jnp.sqrt(jnp.where(square > 0, square, jnp.finfo(square.dtype).tiny))
     scale = jnp.minimum(limit * per_size, 1.0)
     shared = Shared(stretched, trial, square > limit * limit, per_size, scale)
     return trial * scale, stretched * scale, shared

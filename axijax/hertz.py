@@ -157,10 +157,6 @@ class Hertz(Material):
     def confined_stiffness(self, network, stress):
         return self.tangent_stiffness(0.5 * network.radius.mean(), confined_force(network, stress))
 
-    def stiffness_ratio(self):
-        """Of the secant normal stiffness, (2 - nu)/(3 (1 - nu))."""
-        return (2 - self.poisson_ratio) / (3 * (1 - self.poisson_ratio))
-
     def force(self, radius, overlap):
         """Normal force (4/3) E* sqrt(R*) overlap^1.5 [F] for the reduced radius [L]; zero without overlap."""
         return (4 / 3) * self.moduli[0] * jnp.sqrt(radius) * jnp.maximum(overlap, 0.0) ** 1.5
@@ -191,7 +187,7 @@ class Hertz(Material):
             share = np.asarray(network.weight)[balls].sum()
             load = OVERLOAD * float(stress) * area / max(share, 1e-3)
             load = jnp.maximum(load, self.force(radius[balls], overlap))
-            return np.asarray(self.tangent_stiffness(radius[balls], load)[0])
+            return [np.asarray(k) for k in self.tangent_stiffness(radius[balls], load)]
 
         return np.asarray(normal), np.asarray(shear), of_wall
 

@@ -50,9 +50,6 @@ class Linear(Material):
     def confined_stiffness(self, network, stress):
         return self.normal_stiffness, self.shear_stiffness
 
-    def stiffness_ratio(self):
-        return self.normal_stiffness / self.shear_stiffness
-
     def stiffness_over(self, reference):
         return jnp.maximum(
             self.normal_stiffness / reference.normal_stiffness, self.shear_stiffness / reference.shear_stiffness
@@ -60,4 +57,4 @@ class Linear(Material):
 
     def stiffest(self, network, stress, touching_within):
         normal, shear = float(self.normal_stiffness), float(self.shear_stiffness)
-        return normal, shear, lambda balls, area, overlap: normal
+        return normal, shear, lambda balls, area, overlap: (normal, shear)

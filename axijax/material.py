@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 class Material:
     """Parts that every material has; frictional balls with dashpots in their contacts by default.
 
-    A subclass, from outside the package too, adds its own parameters with `quantity` and defines the methods below;
+    A subclass, from outside the package too, adds its own parameters with `quantity` and defines the methods below, of
+    which `stiffest` only saves time and `stiffness_over` serves fits of stiffnesses alone;
     `axijax.tree.pytree` makes it one.
     """
 
@@ -82,15 +83,12 @@ class Material:
         """Normal and tangential tangent stiffness [F/L] of the mean contact under a confining stress."""
         raise NotImplementedError
 
-    def stiffness_ratio(self):
-        """Normal force over overlap, over the tangential stiffness [-]; at any load the same."""
-        raise NotImplementedError
-
     def stiffest(self, network: "Network", stress, touching_within: float):
         """For the critical time step (host): tangent stiffness of the contacts if closed, normal and tangential, (C,)
-        or numbers, and that of the contacts of one plate as a function of the balls that touch it, its area and their
-        overlaps [F/L]."""
-        raise NotImplementedError
+        or numbers, and that of the contacts of one plate, both, as a function of the balls that touch it, its area and
+        their overlaps [F/L]. None where it is to be found from the forces, which takes longer; so of a subclass that
+        changes the law of `Linear` or `Hertz`."""
+        return None
 
     def stiffness_over(self, reference: "Material"):
         """How many times stiffer than a reference of the same kind, by the larger of normal and tangential [-]: with so

@@ -128,7 +128,8 @@ def chatter(params: Params, network: Network, dt, state: State, forces: Forces, 
     along = reversing(approach * next_approach, overlap)
     if state.spring is None:
         return along
-    limit = params.material.contact_friction(network) * overlap * params.material.stiffness_ratio()
+    law = params.material.contact_law(network).at(pair, None, dt)
+    limit = params.material.contact_friction(network) * overlap * (law.normal_stiffness / law.shear_stiffness)
     return jnp.maximum(along, reversing(slip.dot(next_slip), limit))
 
 

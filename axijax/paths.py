@@ -1,7 +1,8 @@
 """Paths: how a stage of a test moves the platens, and when it is done.
 
-A path is a pytree of its own numbers. From outside the package: subclass `Path`, register it as a dataclass, and give
-it to `axijax.engine`.
+A path is a pytree of its own numbers. From outside the package: subclass `Path`, register it as a dataclass, and put it
+into a prepared test (`axijax.prepare.Prepared.shear`) or give it to `axijax.engine`: `march_until` asks it when it is
+done, `march` makes as many records as it is told to.
 """
 
 from dataclasses import dataclass, replace

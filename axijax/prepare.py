@@ -2,7 +2,7 @@
 
 import warnings
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -45,7 +45,7 @@ class Prepared:
     """A test ready to be simulated, a pytree: tests of one structure and one shape share a compiled program.
 
     platens: (2,) heights of the bottom and the top platen before confinement [L].
-    time_step: of a step [T]. confinement, shear: the two stages' paths.
+    time_step: of a step [T]. confinement, shear: the two stages' paths; `dataclasses.replace` puts in one of your own.
     lateral_load: a constant load in place of the membrane's, or None.
     scene, numerics: static.
     """
@@ -55,7 +55,7 @@ class Prepared:
     platens: jax.Array
     time_step: jax.Array | float
     confinement: Isotropic
-    shear: Compression
+    shear: Compression | Any  # or any other path
     lateral_load: Load | None
     scene: Scene = field(metadata={"static": True})
     numerics: Numerics = field(metadata={"static": True})

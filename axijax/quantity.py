@@ -176,7 +176,7 @@ def with_values(tree, values: dict[str, Any]):
     left = dict(values)
     made = _replaced(tree, left)
     if left:
-        raise ValueError(_not_there(next(iter(left)), next(iter(left.values())), tree))
+        raise ValueError(_not_there(next(iter(left)), next(iter(left.values())), made))
     return made
 
 

@@ -19,6 +19,7 @@ from axijax.dynamics import Scene, positions
 from axijax.fabric import contact_statistics, inside_balls, measured, pairs_within, sample_points
 from axijax.feasible import check_feasible
 from axijax.grading import Fraction, Grading, linear
+from axijax.linear import Linear
 from axijax.membrane import build_membrane, membrane_radius
 from axijax.packing import Specimen, check_positive
 from axijax.params import Params, check_params
@@ -153,6 +154,8 @@ def random_cylinder(
     if void_ratio is not None:
         check_positive("void_ratio", void_ratio)
     check_params(params, balls // sector.order)
+    if not hasattr(params, "normal_stiffness"):
+        params = replace(params, material=Linear(density=params.density))
     radii = grading.sample(balls // sector.order)
     told = check_feasible(grading, radii, params, balls)
 

@@ -72,7 +72,8 @@ class Term:
     at t, `dt` is the time step."""
 
     # Whether it can make the motion stiffer or more viscous than contacts and walls do; if so the critical time step is
-    # found from the linearised forces.
+    # found from the linearised forces (`axijax.linearised`). Springs in its memory are seen there if `forces` lets them
+    # grow by this step's motion before it takes their force, as contacts do.
     stiffens = True
 
     def check(self, sector: "Sector") -> None:

@@ -4,14 +4,15 @@ import numpy as np
 
 from axijax.dynamics import Scene
 from axijax.dynamics import spins as scene_spins
+from axijax.linearised import Operators, closed_contacts, coordinates, linearised, plates
 from axijax.neighbors import Network
 from axijax.params import Params
-from axijax.sector import plane_normals
 
 # Largest share of the critical time step that is accepted, and the share taken by default. Past the limit nothing
 # blows up: the Coulomb cap bounds the motion and the peak silently falls, so the limit is kept at arm's length.
 SAFE_STEP = 0.8
 DEFAULT_STEP = 0.6
+
 
 def critical_time_step(scene: Scene, params: Params, network: Network, touching_within: float = 1e-3) -> float:
     """Largest stable time step 2/omega (sqrt(1 + xi^2) - xi) of the actual network [T] (host).
@@ -21,50 +22,51 @@ def critical_time_step(scene: Scene, params: Params, network: Network, touching_
     undamped part). Found by a sparse eigenvalue solver. With dashpots it need not be the fastest mode's: where
     ks < kn they damp spins more. Contacts count as closed where the gap is below touching_within of the ball's radius.
 
-    A Hertzian stiffness is that at the load to come: `hertz.OVERLOAD` times the mean contact force under the confining
-    stress, or at the overlap of the network where that is deeper.
+    A stiffness that depends on the load is that at the load to come: `hertz.OVERLOAD` times the mean contact force
+    under the confining stress, or at the overlap of the network where that is deeper. A scene with a term that
+    stiffens, or with a material that does not say how stiff it is, is linearised by `axijax.linearised`, which takes
+    longer: a program is compiled.
     """
-    from scipy.sparse.linalg import LinearOperator, eigsh
+    operators = None
+    if not any(term.stiffens for term in params.terms):
+        operators = springs_and_dashpots(scene, params, network, touching_within)
+    if operators is None:
+        operators = linearised(scene, params, network, touching_within)
+    return _limit(operators, network.radius.size)
 
+
+def springs_and_dashpots(scene: Scene, params: Params, network: Network, touching_within: float) -> Operators | None:
+    """What `axijax.linearised.linearised` finds of contacts and walls alone, written by hand; None where the material
+    does not say how stiff it is."""
+    material = params.material
+    found = material.stiffest(network, params.confining_stress, touching_within)
+    if found is None:
+        return None
+    normal_constant, shear_constant, wall_constants = found
     radius = np.asarray(network.radius, float)
-    closed = -np.asarray(network.overlap, float) < touching_within * radius.min()
+    closed = closed_contacts(network, touching_within)
     first, second = np.asarray(network.first)[closed], np.asarray(network.second)[closed]
     normal = (np.asarray(network.branch) / np.asarray(network.distance))[:, closed]
     cos, sin = np.asarray(network.cos, float)[closed], np.asarray(network.sin, float)[closed]
     share_of_contact = np.asarray(network.share, float)[closed]
-    material = params.material
     mass = float(np.asarray(material.density)) * 4 / 3 * np.pi * radius**3
     spins = scene_spins(scene, params)
     share = np.asarray(network.weight, float)
-    free = np.asarray(network.free)
-    free = np.concatenate([free, free]) if spins else free
-    scale = np.stack([mass] * 3 + [0.4 * mass * radius**2] * (3 if spins else 0))
-    scale = 1 / np.sqrt(scale * share)
+    scale, free = coordinates(network, mass, spins)
     count = radius.size
-    normal_constant, shear_constant, wall_constant = material.stiffest(
-        network, params.confining_stress, touching_within
-    )  # fmt: skip
     constants = [np.broadcast_to(k, network.first.shape)[closed] for k in (normal_constant, shear_constant)]
     stiffness = constants[0], constants[1] * material.frictional
     beta = float(np.asarray(material.kind_of_damping.viscosity_ratio or 0.0)) * material.dashpot_factor
     reduced = 1 / (1 / mass[first] + 1 / mass[second])
-    normal_viscosity, shear_viscosity = (2 * beta * np.sqrt(constant * reduced) for constant in stiffness)
+    viscosity = [2 * beta * np.sqrt(constant * reduced) for constant in stiffness]
 
-    # Ball-plate contacts, and those with rigid sector planes, as springs to the ground.
-    place = np.asarray(network.positions)
-    z = place[2]
-    lowest, highest = (z - radius).min(), (z + radius).max()
-    outer = (np.hypot(*place[:2]) + radius).max()
-    section = np.pi * outer**2 / network.sector.order
-    plates = [(z - radius - lowest, [0.0, 0.0, 1.0], section), (highest - z - radius, [0.0, 0.0, 1.0], section)]
-    if network.sector.boundary == "rigid":
-        for inward in plane_normals(network.sector):
-            plates.append((inward @ place[:2] - radius, [*inward, 0.0], outer * (highest - lowest)))
+    # Ball-plate contacts as springs to the ground.
     ground = []
-    for gap, direction, area in plates:
-        balls = np.flatnonzero(gap < touching_within * radius)
-        constant = np.broadcast_to(wall_constant(balls, area, -gap[balls]), balls.shape)
-        ground.append((balls, np.array(direction), constant, 2 * beta * np.sqrt(constant * mass[balls])))
+    for plate in plates(network, touching_within):
+        balls = plate.balls
+        pressed, held = wall_constants(balls, plate.area, -plate.gap[balls])
+        both = pressed, held * (plate.rough and material.platen_friction is not None)
+        ground.append((balls, plate.normal, both, [2 * beta * np.sqrt(k * mass[balls]) for k in both]))
 
     def turned(vectors, sine):
         x, y, z = vectors
@@ -86,23 +88,37 @@ def critical_time_step(scene: Scene, params: Params, network: Network, touching_
         if spins:
             arm = np.cross(force, normal, axis=0)
             result[1] = radius * (collect(first, arm) + collect(second, turned(arm, -sin)))
-        for balls, direction, *constants in ground:
-            push = direction @ motion[0][:, balls]
-            result[0][:, balls] += constants[viscous] * share[balls] * direction[:, None] * push
+        for balls, inward, *constants in ground:
+            direction = inward[:, None]
+            pressed, held = constants[viscous]
+            along = inward @ motion[0][:, balls] * direction
+            slip = motion[0][:, balls] - along
+            if spins:
+                slip -= np.cross(surface[:, balls], direction, axis=0)
+            force = share[balls] * (pressed * along + held * slip)
+            result[0][:, balls] += force
+            if spins:
+                result[1][:, balls] += radius[balls] * np.cross(force, direction, axis=0)
         return (result.reshape(-1, count) * scale * free).ravel()
-
-    size = scale.size
 
     def stiff(vector):
         return apply(vector, *stiffness, viscous=False)
 
     def viscous(vector):
-        return apply(vector, normal_viscosity, shear_viscosity, viscous=True)
+        return apply(vector, *viscosity, viscous=True)
 
+    return Operators(scale.size, stiff, viscous)
+
+
+def _limit(operators: Operators, balls: int) -> float:
+    """The critical time step of a linearised scene [T]."""
+    from scipy.sparse.linalg import LinearOperator, eigsh
+
+    size, stiff, viscous = operators
     start = np.random.default_rng(0).standard_normal(size)
 
     # Beside a margin of 0.8 three digits are enough where more would take minutes.
-    accuracy = 1e-6 if count < 3000 else 1e-3
+    accuracy = 1e-6 if balls < 3000 else 1e-3
 
     def fastest(action):
         operator = LinearOperator((size, size), action, dtype=float)
