@@ -2,7 +2,7 @@
 
 import sys
 
-from axijax.cli import main
+from axijax.app.cli.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

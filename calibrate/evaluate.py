@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from axijax.fingerprint import fingerprint, versions
+from axijax.core.fingerprint import fingerprint, versions
 from calibrate.log import FitLog, curve_entry, curve_of_entry
 from calibrate.model import Cost, Model, RunFailed, jacobian_of, stretch_tangent
 
@@ -101,7 +101,7 @@ class Evaluator:
 
     def values(self, points) -> list[Evaluation]:
         """One run each, several cores at a time, logged as they come; a run that fails leaves the others alone."""
-        from axijax.batch import parallel
+        from axijax.core.parallel import parallel
 
         points = [np.asarray(z, float) for z in points]
         found: dict[int, Evaluation] = {}

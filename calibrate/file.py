@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from axijax.folder import draw_afterwards
+from axijax.core.files import draw_afterwards
 from calibrate.fit import fit_parameters
 from calibrate.gradients import Health, gradient
 from calibrate.measured import DataError, MeasuredCurve

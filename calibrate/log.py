@@ -13,8 +13,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from axijax.fingerprint import differences
-from axijax.folder import write_whole
+from axijax.core.files import write_whole
+from axijax.core.fingerprint import differences
 from calibrate.model import FIELDS
 
 KIND = "axijax log of a fit"

@@ -1,6 +1,6 @@
 """A simulator seen by a fit: coordinates in, a curve and its tangents out, every run counted and timed.
 
-The simulator is anything with `params` (as axijax.dynamics.Params) and a pure `simulate(params)` that returns the
+The simulator is anything with `params` (as axijax.mechanics.dynamics.Params) and a pure `simulate(params)` that returns the
 fields axial_strain, stress_ratio and so on of `axijax.Curve` with a status; `TriaxialTest` is the real one.
 """
 
@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from axijax.status import described
+from axijax.core.status import described
 from calibrate.parameters import ParameterSet
 
 LARGEST = 1e3  # largest |dR/dz|, z the log or logit of the parameter, that is still taken for a physical sensitivity

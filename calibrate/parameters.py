@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from axijax.quantity import Quantity, present
+from axijax.core.quantity import Quantity, present
 
 # Numbers that are no field of their own: kn and ks follow from them.
 RATIO, SCALE = "stiffness_ratio", "ball_radius_scale"

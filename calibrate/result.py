@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from axijax.folder import write_whole
+from axijax.core.files import write_whole
 from calibrate.evaluate import Evaluation
 from calibrate.measured import MeasuredCurve
 from calibrate.model import Cost

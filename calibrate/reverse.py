@@ -1,7 +1,7 @@
 """Reverse mode: one target, many parameters. A friction for each ball gives a map of which balls carry the peak.
 
 A test keeps only its state at each record and runs each block of steps again on the way back, so the memory is tens of
-megabytes. Reverse mode and the fast CPU kernels exclude each other (see axijax.platform).
+megabytes. Reverse mode and the fast CPU kernels exclude each other (see axijax.core.platform).
 """
 
 from dataclasses import dataclass, replace
@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from axijax.folder import write_whole
-from axijax.platform import fast_cpu_kernels_are_on
-from axijax.status import described
+from axijax.core.files import write_whole
+from axijax.core.platform import fast_cpu_kernels_are_on
+from axijax.core.status import described
 
 
 def refuse_fast_kernels(what: str) -> None:

@@ -19,8 +19,8 @@ import matplotlib  # noqa: E402
 import numpy as np  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
-from axijax.batch import Outcome, open_batch, parameter_grid, run_batch  # noqa: E402
-from axijax.plot import save_figure  # noqa: E402
+from axijax.app.batch import Outcome, open_batch, parameter_grid, run_batch  # noqa: E402
+from axijax.app.plot import save_figure  # noqa: E402
 from axijax.theory import fcc_stress_ratio  # noqa: E402
 
 FRICTION = np.arange(0.03, 0.331, 0.03).round(2)

@@ -160,7 +160,7 @@ class Bench:
             return self.alternate(*self.ours(stack, "batch", [same | {"tests": size} for size in sizes]))
 
     def whole_batches(self) -> list[dict]:
-        """Whole tests by `axijax.batch.run_batch`, against one at a time."""
+        """Whole tests by `axijax.app.batch.run_batch`, against one at a time."""
         same = {"what": "batch", "specimen": {}, "order": 4, "test": {"axial_strain": 0.005}, "cores": self.cores[-1]}
         with ExitStack() as stack:
             rows = self.alternate(*self.ours(stack, "run_batch", [same | {"tests": size} for size in (1, 8, 32)]))
@@ -325,7 +325,7 @@ def main() -> None:
     if "batch" in parts:
         for dtype in ("float64", "float32"):
             bench.group(f"batch {dtype}", lambda dtype=dtype: bench.batches(dtype, LARGEST_BATCH))
-        if importlib.util.find_spec("axijax.batch") is None:
+        if importlib.util.find_spec("axijax.app.batch") is None:
             print("run_batch: left out, this axijax has no batch module")
         else:
             bench.group("run_batch", bench.whole_batches)

@@ -44,10 +44,10 @@ def packings(options):
 def sheared(specimen, report, sector, friction, strain) -> dict:
     """Shear one specimen and return what the study keeps of it."""
     import axijax
-    from axijax.fabric import contact_statistics, profiles
-    from axijax.random_packing import platen_speed
-    from axijax.rebuild import specimen_now
-    from axijax.results import RECORDS
+    from axijax.app.results import RECORDS
+    from axijax.mechanics.rebuild import specimen_now
+    from axijax.specimen.fabric import contact_statistics, profiles
+    from axijax.triaxial.random_specimen import platen_speed
 
     params = axijax.Params(friction=friction)
     params = replace(params, platen_speed=platen_speed(INERTIAL_NUMBER, specimen, params))
@@ -84,8 +84,8 @@ def sheared(specimen, report, sector, friction, strain) -> dict:
 def work(options) -> None:
     """Make and shear all that is missing and that no other process is at."""
     import axijax
-    from axijax.folder import write_whole
-    from axijax.random_packing import random_cylinder
+    from axijax.core.files import write_whole
+    from axijax.triaxial.random_specimen import random_cylinder
 
     axijax.fast_cpu_kernels()
     for size, order, boundary, seed in packings(options):

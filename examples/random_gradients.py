@@ -23,8 +23,8 @@ axijax.fast_cpu_kernels()  # forward mode only, four times as fast; before anyth
 
 import numpy as np  # noqa: E402
 
-from axijax.grading import linear  # noqa: E402
-from axijax.random_packing import platen_speed, random_cylinder  # noqa: E402
+from axijax.specimen.grading import linear  # noqa: E402
+from axijax.triaxial.random_specimen import platen_speed, random_cylinder  # noqa: E402
 from calibrate import Model, RunFailed, WindowMean, gradient  # noqa: E402
 
 FRICTION = 0.3

@@ -20,9 +20,9 @@ import axijax  # noqa: E402
 axijax.fast_cpu_kernels()  # forward mode only, four times as fast; before anything is computed
 
 from axijax import Params  # noqa: E402
-from axijax.packing import fcc_octagon  # noqa: E402
+from axijax.specimen.specimen import fcc_octagon  # noqa: E402
 from axijax.theory import fcc_friction, fcc_stress_ratio  # noqa: E402
-from axijax.triaxial import TriaxialTest  # noqa: E402
+from axijax.triaxial.test import TriaxialTest  # noqa: E402
 from calibrate import ROWE, fit_friction_to_peak  # noqa: E402
 
 

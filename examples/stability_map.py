@@ -24,11 +24,11 @@ import axijax  # noqa: E402
 
 axijax.fast_cpu_kernels()
 
-from axijax.curve import CHATTER  # noqa: E402
-from axijax.damping import Damping  # noqa: E402
-from axijax.results import save_table  # noqa: E402
-from axijax.status import UNSTABLE  # noqa: E402
-from axijax.time_step import SAFE_STEP, critical_time_step  # noqa: E402
+from axijax.app.results import save_table  # noqa: E402
+from axijax.core.status import UNSTABLE  # noqa: E402
+from axijax.mechanics.damping import Damping  # noqa: E402
+from axijax.mechanics.time_step import SAFE_STEP, critical_time_step  # noqa: E402
+from axijax.triaxial.records import CHATTER  # noqa: E402
 
 DAMPING = {
     "local damping 0.7": axijax.LocalDamping(0.7),

@@ -37,8 +37,8 @@ import jax  # noqa: E402
 import numpy as np  # noqa: E402
 
 from axijax import Params  # noqa: E402
-from axijax.packing import fcc_octagon  # noqa: E402
-from axijax.triaxial import TriaxialTest  # noqa: E402
+from axijax.specimen.specimen import fcc_octagon  # noqa: E402
+from axijax.triaxial.test import TriaxialTest  # noqa: E402
 from calibrate import MeasuredCurve, Model, ParameterSet, RunFailed, fit_by_descent, fit_parameters  # noqa: E402
 from calibrate.evaluate import Evaluator  # noqa: E402
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import axijax  # isort: skip  (before jax: it quietens XLA)
 import jax
 
-from axijax.batch import Member, parameter_grid, run_batch
+from axijax.app.batch import Member, parameter_grid, run_batch
 
 FRICTION = (0.1, 0.2, 0.3)
 

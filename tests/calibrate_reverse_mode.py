@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from axijax import Params
-from axijax.packing import fcc_octagon
-from axijax.triaxial import TriaxialTest
+from axijax.specimen.specimen import fcc_octagon
+from axijax.triaxial.test import TriaxialTest
 from calibrate.descent import fit_friction_per_ball
 from calibrate.parameters import Prior
 from calibrate.reverse import friction_map

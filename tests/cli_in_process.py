@@ -5,7 +5,7 @@ import io
 from dataclasses import dataclass
 from pathlib import Path
 
-from axijax.cli import main
+from axijax.app.cli.main import main
 
 # A small case that is confined and sheared past its peak in about a second, once compiled.
 SMALL = """

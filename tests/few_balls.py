@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax import Hertz, Linear, Params, Scene, Sector, Specimen
-from axijax.dynamics import initial_state, make_step
-from axijax.membrane import Load
-from axijax.neighbors import Network, build_network
-from axijax.quantity import quantity
-from axijax.state import State
-from axijax.term import Push, Spent, Term, share_of_sector
-from axijax.vector import Vector, from_rows
+from axijax.core.quantity import quantity
+from axijax.core.vector import Vector, from_rows
+from axijax.mechanics.contact_list import Network, build_network
+from axijax.mechanics.dynamics import initial_state, make_step
+from axijax.mechanics.membrane import Load
+from axijax.mechanics.state import State
+from axijax.mechanics.term import Push, Spent, Term, share_of_sector
 
 PLANE = 1e6
 UNIT_MASS = 3 / (4 * np.pi)  # density at which a ball of radius 1 has mass 1

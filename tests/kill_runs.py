@@ -25,9 +25,9 @@ from xml.etree import ElementTree
 import numpy as np
 import xarray
 
-import axijax.cli
-import axijax.report
-import axijax.runs
+import axijax.app.cli.main
+import axijax.app.report
+import axijax.app.runs
 import calibrate  # noqa: F401 (before the forks)
 
 TINY = """
@@ -85,7 +85,7 @@ class Bench:
                 os.dup2(out, stream)
             os.chdir(self.root)
             os.environ["AXIJAX_CACHE"] = str(self.root / "cache")
-            code = axijax.cli.main([str(argument) for argument in arguments])
+            code = axijax.app.cli.main.main([str(argument) for argument in arguments])
         finally:
             sys.stdout.flush()
             os._exit(code)

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from axijax import Dashpot, Hertz, LocalDamping, Params
-from axijax.curve import SimulationError, raise_for_status
-from axijax.membrane import Load, build_membrane
-from axijax.neighbors import build_network
-from axijax.packing import Specimen, cut_to_sector, fcc_cylinder, fcc_octagon
-from axijax.sector import Sector
-from axijax.status import SENSELESS
-from axijax.time_step import critical_time_step
-from axijax.triaxial import TriaxialTest
+from axijax.core.sector import Sector
+from axijax.core.status import SENSELESS
+from axijax.mechanics.contact_list import build_network
+from axijax.mechanics.membrane import Load, build_membrane
+from axijax.mechanics.time_step import critical_time_step
+from axijax.specimen.specimen import Specimen, cut_to_sector, fcc_cylinder, fcc_octagon
+from axijax.triaxial.records import SimulationError, raise_for_status
+from axijax.triaxial.test import TriaxialTest
 
 NAN = float("nan")
 OCTAGON = fcc_octagon(layers=3, half_width=3)

@@ -17,11 +17,12 @@ import numpy as np
 import pytest
 
 import axijax
-from axijax import platform
-from axijax.batch import Member, open_batch, parallel, parameter_grid, run_batch, simulate_many
-from axijax.batch_files import identity
-from axijax.cli_batch import load_sweep
-from axijax.curve import RECORDS
+from axijax.app.batch import Member, open_batch, parameter_grid, run_batch, simulate_many
+from axijax.app.batch_files import identity
+from axijax.app.cli.batch import load_sweep
+from axijax.core import platform
+from axijax.core.parallel import parallel
+from axijax.triaxial.records import RECORDS
 
 sys.path.insert(0, str(Path(__file__).parent))
 from batch_process import FRICTION, members, tiny

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from calibrate_standin import StandIn, measured
 
-from axijax.case import load_case
+from axijax.app.case import load_case
 from calibrate.file import calibrate_file
 from calibrate.measured import DataError
 

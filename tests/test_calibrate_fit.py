@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from calibrate_standin import StandIn, measured
 
-from axijax.packing import fcc_octagon
+from axijax.specimen.specimen import fcc_octagon
 from axijax.theory import fcc_stress_ratio, stretched_stress_ratio
-from axijax.triaxial import TriaxialTest
+from axijax.triaxial.test import TriaxialTest
 from calibrate.descent import fit_by_descent
 from calibrate.file import calibrate_file
 from calibrate.fit import fit_parameters

@@ -14,11 +14,11 @@ import pytest
 from calibrate_standin import StandIn
 
 from axijax import LocalDamping, Params, Scene
-from axijax.lattice import lattice_load
-from axijax.packing import fcc_octagon
-from axijax.sector import Sector
-from axijax.triaxial import TriaxialTest
-from axijax.walls import wall_force
+from axijax.core.sector import Sector
+from axijax.mechanics.lattice_load import lattice_load
+from axijax.mechanics.walls import wall_force
+from axijax.specimen.specimen import fcc_octagon
+from axijax.triaxial.test import TriaxialTest
 from calibrate.descent import fit_friction_per_ball
 from calibrate.evaluate import Evaluator
 from calibrate.gradients import gradient

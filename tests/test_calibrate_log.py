@@ -9,10 +9,10 @@ from calibrate_standin import StandIn, measured
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from axijax.dynamics import Params, Scene
-from axijax.packing import fcc_octagon
-from axijax.sector import Sector
-from axijax.triaxial import TriaxialTest
+from axijax.core.sector import Sector
+from axijax.mechanics.dynamics import Params, Scene
+from axijax.specimen.specimen import fcc_octagon
+from axijax.triaxial.test import TriaxialTest
 from calibrate.evaluate import Evaluator
 from calibrate.fit import fit_parameters
 from calibrate.log import FitLog

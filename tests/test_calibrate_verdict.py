@@ -10,7 +10,7 @@ import pytest
 from calibrate_standin import StandIn, measured
 from cli_in_process import axijax, write
 
-from axijax.status import ESCAPED, NOT_FINITE, REMEDIES, STALE_CELLS, STALE_LIST, UNSTABLE, described
+from axijax.core.status import ESCAPED, NOT_FINITE, REMEDIES, STALE_CELLS, STALE_LIST, UNSTABLE, described
 from calibrate.descent import fit_by_descent
 from calibrate.file import calibrate_file
 from calibrate.fit import fit_parameters

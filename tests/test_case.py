@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from cli_in_process import axijax
 
-from axijax import Params, Scene, Sector, TriaxialTest, case
-from axijax.case import KINDS, SECTIONS, Case, default_case, load_case, to_toml
-from axijax.grading import sieve_curve
+from axijax import Params, Scene, Sector, TriaxialTest
+from axijax.app import case
+from axijax.app.case import KINDS, SECTIONS, Case, default_case, load_case, to_toml
+from axijax.specimen.grading import sieve_curve
 
 
 def write(tmp_path, text):
@@ -140,7 +141,7 @@ def test_a_missing_file_is_named(tmp_path):
 
 def test_a_packing_that_does_not_settle_has_one_remedy(monkeypatch):
     """The function's own remedies, in place of which stand those of a case file."""
-    from axijax import random_packing
+    from axijax.triaxial.test import random_specimen as random_packing
 
     for told in ("compaction stopped after 10 steps: raise most_steps.", "confinement: too fast: take a denser start."):
 

@@ -8,11 +8,12 @@ import jax
 import numpy as np
 import pytest
 
-from axijax import Dashpot, Linear, LocalDamping, Params, Scene, triaxial
-from axijax.checkpoint import load_progress, save_progress
-from axijax.packing import fcc_octagon
-from axijax.sector import Sector
-from axijax.triaxial import TriaxialTest
+from axijax import Dashpot, Linear, LocalDamping, Params, Scene
+from axijax.core.sector import Sector
+from axijax.specimen.specimen import fcc_octagon
+from axijax.triaxial.checkpoint import load_progress, save_progress
+from axijax.triaxial.test import TriaxialTest
+from axijax.triaxial.test import test as triaxial
 
 STOP, END = 0.05, 0.1
 

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from axijax import table1
+from axijax.app import table1
 
 
 def axijax(*arguments, cwd=None):
@@ -79,7 +79,7 @@ def test_pictures_are_pictures(saved):
 
 
 def test_a_failed_write_leaves_nothing(tmp_path):
-    from axijax.folder import write_whole
+    from axijax.core.files import write_whole
 
     def breaks(target):
         target.write_text("half")

@@ -9,8 +9,9 @@ import warnings
 import pytest
 from cli_in_process import axijax, write
 
-from axijax import cli, platform
-from axijax.cli_errors import LEAST_MEMORY, guarded
+from axijax.app.cli import main as cli
+from axijax.app.cli.errors import LEAST_MEMORY, guarded
+from axijax.core import platform
 
 
 def process(folder, *arguments, **options):
@@ -125,7 +126,7 @@ def test_ctrl_c_between_two_moments(monkeypatch, tmp_path):
     def interrupted(*args, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("axijax.forecast.forecast", interrupted)
+    monkeypatch.setattr("axijax.app.forecast.forecast", interrupted)
     called = axijax("check", write(tmp_path / "a.toml"))
     assert called.code == 130 and "Traceback" not in called.err
     assert cli.main(["--version"]) == 0

@@ -10,17 +10,17 @@ import pytest
 from few_balls import PLANE, SCENE, Pull, constant_load, few_balls, jit, no_load, order_of, still, unit_params
 
 from axijax import BackgroundDamping, Dashpot, LocalDamping, Params
-from axijax.dynamics import initial_state, make_step
-from axijax.energy import EnergyBalance, energy_balance, make_ledger_step, open_ledger
-from axijax.engine import current_load
-from axijax.membrane import Load
-from axijax.neighbors import build_network
-from axijax.packing import Specimen, cut_to_sector, fcc_octagon
-from axijax.sector import Sector
-from axijax.stages import start_shear
+from axijax.core.sector import Sector
+from axijax.core.vector import from_rows
+from axijax.mechanics.contact_list import build_network
+from axijax.mechanics.dynamics import initial_state, make_step
+from axijax.mechanics.energy import EnergyBalance, energy_balance, make_ledger_step, open_ledger
+from axijax.mechanics.membrane import Load
+from axijax.specimen.specimen import Specimen, cut_to_sector, fcc_octagon
 from axijax.theory import dashpot_restitution, local_damping_restitution, slide_to_roll
-from axijax.triaxial import TriaxialTest
-from axijax.vector import from_rows
+from axijax.triaxial.engine import current_load
+from axijax.triaxial.stages import start_shear
+from axijax.triaxial.test import TriaxialTest
 
 balance_of = jit(energy_balance, static_argnums=0)
 

@@ -12,7 +12,8 @@ from few_balls import FAR, PLANE, constant_load, few_balls, jit, no_load, order_
 from scipy.spatial.transform import Rotation
 
 from axijax import Dashpot, LocalDamping
-from axijax.contacts import Law, contact_forces
+from axijax.core.vector import from_rows, zeros
+from axijax.mechanics.contacts import Law, contact_forces
 from axijax.theory import (
     dashpot_duration,
     dashpot_restitution,
@@ -24,7 +25,6 @@ from axijax.theory import (
     slide_to_roll,
     sticking_velocity_ratio,
 )
-from axijax.vector import from_rows, zeros
 
 SPEED = 1e-3
 

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from axijax.dynamics import Params, Scene
-from axijax.fingerprint import differences, fingerprint
-from axijax.packing import fcc_octagon
-from axijax.sector import Sector
-from axijax.triaxial import TriaxialTest
+from axijax.core.fingerprint import differences, fingerprint
+from axijax.core.sector import Sector
+from axijax.mechanics.dynamics import Params, Scene
+from axijax.specimen.specimen import fcc_octagon
+from axijax.triaxial.test import TriaxialTest
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def thinned(specimen):
 
 
 def load(test, size):
-    from axijax.membrane import Load
+    from axijax.mechanics.membrane import Load
 
     return Load(jnp.full((2, len(test.cut)), size), jnp.asarray(1.0))
 

@@ -11,10 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from axijax import overwrite, signals, table1
-from axijax.batch import run_batch
-from axijax.cli_errors import filling
-from axijax.folder import (
+from axijax.app import overwrite, table1
+from axijax.app.batch import run_batch
+from axijax.app.cli.errors import filling
+from axijax.core import signals
+from axijax.core.files import (
     FolderError,
     draw_afterwards,
     locked,
@@ -30,7 +31,7 @@ fcntl = pytest.importorskip("fcntl")
 KILLED_WRITER = """
 import os, signal, sys
 from pathlib import Path
-from axijax.folder import write_whole
+from axijax.core.files import write_whole
 def half(target):
     target.write_text("half a cur")
     os.kill(os.getpid(), signal.SIGKILL)
@@ -228,7 +229,7 @@ class TestWords:
 
 def test_output_that_nobody_reads_ends_without_a_traceback(tmp_path):
     """Not the one that Python adds at its end either, when it tries once more."""
-    code = "import sys; from axijax.cli import main; sys.exit(main(['new', sys.argv[1]]))"
+    code = "import sys; from axijax.app.cli.main import main; sys.exit(main(['new', sys.argv[1]]))"
     command, pipe = [sys.executable, "-c", code, str(tmp_path / "a.toml")], subprocess.PIPE
     for buffered in ("", "1"):
         environment = {**os.environ, "PYTHONUNBUFFERED": buffered}

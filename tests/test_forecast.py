@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from cli_in_process import SMALL, axijax, write
 
-from axijax import triaxial
-from axijax.case import Case, load_case
-from axijax.checks import _packing_checks
-from axijax.dynamics import Params, Scene
-from axijax.forecast import forecast
-from axijax.packing import fcc_octagon
-from axijax.runs import packing_values
-from axijax.triaxial import TriaxialTest
+from axijax.app.case import Case, load_case
+from axijax.app.checks import _packing_checks
+from axijax.app.forecast import forecast
+from axijax.app.runs import packing_values
+from axijax.mechanics.dynamics import Params, Scene
+from axijax.specimen.specimen import fcc_octagon
+from axijax.triaxial.test import TriaxialTest
+from axijax.triaxial.test import test as triaxial
 
 
 def looked_at(**sections):

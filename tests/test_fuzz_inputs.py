@@ -18,9 +18,9 @@ from cli_in_process import SMALL, axijax, write
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from axijax.case import KINDS, SECTIONS
-from axijax.results import INFO, STATUSES, open_results
-from axijax.triaxial import TriaxialTest
+from axijax.app.case import KINDS, SECTIONS
+from axijax.app.results import INFO, STATUSES, open_results
+from axijax.triaxial.test import TriaxialTest
 
 COUNT = int(os.environ.get("AXIJAX_FUZZ", "100"))
 MOST_MEMORY = 2 * 2**30  # by which the process may grow, whatever an input claims [bytes]
@@ -42,7 +42,7 @@ def nothing_runs():
         raise ValueError(ACCEPTED)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("axijax.case._packed", packed)
+        patch.setattr("axijax.app.case._packed", packed)
         patch.setattr(TriaxialTest, "run", run)
         yield
 

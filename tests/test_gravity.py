@@ -6,14 +6,14 @@ import jax
 import numpy as np
 import pytest
 
-from axijax.dynamics import Scene, initial_state, make_step
-from axijax.energy import energy_balance, make_ledger_step, open_ledger
-from axijax.gravity import Gravity
-from axijax.membrane import Load
-from axijax.neighbors import build_network
-from axijax.packing import Specimen
-from axijax.params import Params
-from axijax.sector import Sector
+from axijax.core.sector import Sector
+from axijax.mechanics.contact_list import build_network
+from axijax.mechanics.dynamics import Scene, initial_state, make_step
+from axijax.mechanics.energy import energy_balance, make_ledger_step, open_ledger
+from axijax.mechanics.gravity import Gravity
+from axijax.mechanics.membrane import Load
+from axijax.mechanics.params import Params
+from axijax.specimen.specimen import Specimen
 
 # Small programs that run briefly: not worth optimising.
 jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})

@@ -16,17 +16,18 @@ from scipy.integrate import quad, solve_ivp
 from test_lattices import block, stress_after, unstrained
 
 from axijax import Dashpot, Hertz, Params, Scene
-from axijax.contacts import Geometry, contact_forces, elastic_force, frictional_law, frictionless_force
-from axijax.curve import raise_for_status
-from axijax.dynamics import initial_state, make_step
-from axijax.energy import energy_balance, make_ledger_step, open_ledger
-from axijax.hertz import OVERLOAD, confined_force
-from axijax.lattice import lattice_load
-from axijax.membrane import Load
-from axijax.neighbors import build_network
-from axijax.packing import Specimen, cut_to_sector, fcc_octagon
-from axijax.params import check_params
-from axijax.sector import Sector
+from axijax.core.sector import Sector
+from axijax.core.vector import Vector, from_rows, zeros
+from axijax.mechanics.contact_list import build_network
+from axijax.mechanics.contacts import Geometry, contact_forces, elastic_force, frictional_law, frictionless_force
+from axijax.mechanics.dynamics import initial_state, make_step
+from axijax.mechanics.energy import energy_balance, make_ledger_step, open_ledger
+from axijax.mechanics.hertz import OVERLOAD, confined_force
+from axijax.mechanics.lattice_load import lattice_load
+from axijax.mechanics.membrane import Load
+from axijax.mechanics.params import check_params
+from axijax.mechanics.time_step import SAFE_STEP, critical_time_step
+from axijax.specimen.specimen import Specimen, cut_to_sector, fcc_octagon
 from axijax.theory import (
     dashpot_restitution,
     elastic_constants,
@@ -35,9 +36,8 @@ from axijax.theory import (
     hertz_impact_duration,
     hertz_impact_maximum_overlap,
 )
-from axijax.time_step import SAFE_STEP, critical_time_step
-from axijax.triaxial import TriaxialTest
-from axijax.vector import Vector, from_rows, zeros
+from axijax.triaxial.records import raise_for_status
+from axijax.triaxial.test import TriaxialTest
 from calibrate.fit import fit_parameters
 from calibrate.measured import MeasuredCurve
 from calibrate.model import Model

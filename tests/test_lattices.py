@@ -15,12 +15,13 @@ import pytest
 from few_balls import SCENE, jit, no_load, run, unit_params
 
 from axijax import Scene
-from axijax.contacts import Law, contact_forces, geometry
-from axijax.dynamics import all_forces, initial_state, positions
-from axijax.membrane import membrane_load
-from axijax.neighbors import Network, build_network
-from axijax.packing import Specimen, cut_to_sector, fcc_cylinder, fcc_octagon, lattice_cylinder
-from axijax.sector import Sector, radial_distance
+from axijax.core.sector import Sector, radial_distance
+from axijax.core.vector import Vector, from_rows, zeros
+from axijax.mechanics.contact_list import Network, build_network
+from axijax.mechanics.contacts import Law, contact_forces, geometry
+from axijax.mechanics.dynamics import all_forces, initial_state, positions
+from axijax.mechanics.membrane import membrane_load
+from axijax.specimen.specimen import Specimen, cut_to_sector, fcc_cylinder, fcc_octagon, lattice_cylinder
 from axijax.theory import (
     TAN_ANGLE_BCC,
     TAN_ANGLE_FCC,
@@ -42,8 +43,7 @@ from axijax.theory import (
     post_peak_softening_rate,
     uniform_spin_frequency,
 )
-from axijax.triaxial import TriaxialTest
-from axijax.vector import Vector, from_rows, zeros
+from axijax.triaxial.test import TriaxialTest
 
 NEIGHBOURS = {"fcc": 12, "bcc": 8, "hcp": 12, "sc": 6}
 VOLUME = {"fcc": 32**0.5, "bcc": 32 / 27**0.5, "hcp": 32**0.5, "sc": 8.0}  # per ball

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from axijax import BackgroundDamping, Params, theory
-from axijax.membrane import build_membrane, membrane_radius
-from axijax.packing import cut_to_sector, fcc_octagon
-from axijax.sector import Sector
-from axijax.triaxial import TriaxialTest
-from axijax.vector import from_rows
-from axijax.zone import zone_found_again
+from axijax.core.sector import Sector
+from axijax.core.vector import from_rows
+from axijax.mechanics.membrane import build_membrane, membrane_radius
+from axijax.mechanics.outer_balls import zone_found_again
+from axijax.specimen.specimen import cut_to_sector, fcc_octagon
+from axijax.triaxial.test import TriaxialTest
 
 FRICTION = 0.12278
 
@@ -181,8 +181,8 @@ def test_a_ball_squeezed_out_is_loaded_but_does_not_carry_the_radius_away():
 
 def test_float32_keeps_the_overlap_only_by_displacements():
     """At these coordinates float32 positions miss an overlap by 2e-3 of it, displacements by a hundredth of that."""
-    from axijax.contacts import geometry
-    from axijax.neighbors import build_network
+    from axijax.mechanics.contact_list import build_network
+    from axijax.mechanics.contacts import geometry
 
     cut = cut_to_sector(fcc_octagon(), Sector(4))
     rng = np.random.default_rng(5)

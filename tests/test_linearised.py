@@ -9,17 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import axijax.linearised
+import axijax.mechanics.linearised
 from axijax import Hertz, Params, Scene, Sector, Specimen, TriaxialTest, fcc_octagon
-from axijax.capped_spring import capped
-from axijax.linear import Linear
-from axijax.linearised import linearised
-from axijax.neighbors import build_network
-from axijax.packing import cut_to_sector
-from axijax.quantity import quantity
-from axijax.term import Push, Term
-from axijax.time_step import critical_time_step, springs_and_dashpots
-from axijax.vector import Vector
+from axijax.core.quantity import quantity
+from axijax.core.vector import Vector
+from axijax.mechanics.capped_spring import capped
+from axijax.mechanics.contact_list import build_network
+from axijax.mechanics.linear import Linear
+from axijax.mechanics.linearised import linearised
+from axijax.mechanics.term import Push, Term
+from axijax.mechanics.time_step import critical_time_step, springs_and_dashpots
+from axijax.specimen.specimen import cut_to_sector
 
 RADIUS, STIFFNESS = 20.0, 1.5e9
 QUARTER, HALF, FULL, RIGID = Sector(4), Sector(2), Sector(1), Sector(4, "rigid")
@@ -32,9 +32,9 @@ SLIGHT = {"confining_stress": 1e-3}
 def brief():
     """Many small programs that run briefly: not worth optimising."""
     with pytest.MonkeyPatch.context() as patch:
-        program = axijax.linearised._response.__wrapped__
+        program = axijax.mechanics.linearised._response.__wrapped__
         level = {"xla_backend_optimization_level": 0}
-        patch.setattr(axijax.linearised, "_response", jax.jit(program, static_argnums=0, compiler_options=level))
+        patch.setattr(axijax.mechanics.linearised, "_response", jax.jit(program, static_argnums=0, compiler_options=level))
         yield
 
 

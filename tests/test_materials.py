@@ -11,12 +11,12 @@ import pytest
 from few_balls import SCENE, Pull, few_balls, hertz_params, no_load, record, run, unit_params
 
 from axijax import BackgroundDamping, Dashpot, Hertz, Linear, LocalDamping, Params, Sector, Specimen
-from axijax.dynamics import all_forces, initial_state
-from axijax.neighbors import build_network
-from axijax.params import check_params
-from axijax.paths import wave_speed
-from axijax.quantity import present, quantity
+from axijax.core.quantity import present, quantity
+from axijax.mechanics.contact_list import build_network
+from axijax.mechanics.dynamics import all_forces, initial_state
+from axijax.mechanics.params import check_params
 from axijax.theory import impact_maximum_overlap
+from axijax.triaxial.paths import wave_speed
 
 LOADING = {"confining_stress", "platen_speed"}
 LINEAR = {"friction", "density", "normal_stiffness", "shear_stiffness"}

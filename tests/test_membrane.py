@@ -10,8 +10,10 @@ import pytest
 from scipy.spatial import Voronoi
 
 from axijax import Scene
-from axijax.dynamics import initial_state, make_step, positions
-from axijax.membrane import (
+from axijax.core.sector import Sector
+from axijax.core.vector import Vector, from_rows
+from axijax.mechanics.dynamics import initial_state, make_step, positions
+from axijax.mechanics.membrane import (
     build_membrane,
     cell_areas,
     membrane_force,
@@ -19,10 +21,8 @@ from axijax.membrane import (
     membrane_radius,
     stale_cells,
 )
-from axijax.packing import Specimen, cut_to_sector, fcc_cylinder, fcc_octagon
-from axijax.sector import Sector
-from axijax.triaxial import TriaxialTest
-from axijax.vector import Vector, from_rows
+from axijax.specimen.specimen import Specimen, cut_to_sector, fcc_cylinder, fcc_octagon
+from axijax.triaxial.test import TriaxialTest
 
 HEIGHT = 12.0
 COUNT = 12  # balls of most zones, and

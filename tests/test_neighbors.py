@@ -6,11 +6,11 @@ import jax
 import numpy as np
 import pytest
 
-from axijax.neighbors import build_network, carry_memory, closing
-from axijax.packing import Specimen
-from axijax.sector import Sector
-from axijax.term import Memory
-from axijax.vector import Vector, from_rows
+from axijax.core.sector import Sector
+from axijax.core.vector import Vector, from_rows
+from axijax.mechanics.contact_list import build_network, carry_memory, closing
+from axijax.mechanics.term import Memory
+from axijax.specimen.specimen import Specimen
 
 ANY_OVERLAP = 1e9
 

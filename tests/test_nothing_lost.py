@@ -14,11 +14,11 @@ import pytest
 from cli_in_process import Called, axijax, write
 
 import axijax as package
-from axijax import plot, report
-from axijax.case import Case, load_case
-from axijax.cli import main
-from axijax.packing import fcc_octagon
-from axijax.results import open_result
+from axijax.app import plot, report
+from axijax.app.case import Case, load_case
+from axijax.app.cli.main import main
+from axijax.app.results import open_result
+from axijax.specimen.specimen import fcc_octagon
 
 TINY = """
 [specimen]
@@ -180,12 +180,12 @@ def test_a_run_never_says_running_for_ever(finished, tmp_path, monkeypatch):
 
     out = tmp_path / "out"
     with monkeypatch.context() as patch:
-        patch.setattr("axijax.runs.TriaxialTest.run", broken)
+        patch.setattr("axijax.app.runs.TriaxialTest.run", broken)
         called = axijax("run", write(tmp_path / "tiny.toml", TINY), "--output", out)
     assert called.code == 1 and "out of memory" in called.err
     assert info_of(out)["status"] == "interrupted" and info_of(out)["message"] == "stopped by out of memory"
     with monkeypatch.context() as patch:  # and a snapshot that cannot be made costs a warning
-        patch.setattr("axijax.paraview.snapshot", broken)
+        patch.setattr("axijax.app.paraview.snapshot", broken)
         called = axijax("run", tmp_path / "tiny.toml", "--output", out, "--overwrite", "--snapshots", 1)
     assert called.code == 0 and "axial strain could not be made (out of memory)" in called.err
     assert len(info_of(out)["warnings"]) == 1
@@ -269,7 +269,7 @@ class TestWords:
         return Called(code, stdout.getvalue(), errors.getvalue())
 
     def test_a_folder_that_is_removed(self, tmp_path, monkeypatch):
-        monkeypatch.setattr("axijax.cli_run._PlainLines.tell", lambda *_: shutil.rmtree(tmp_path / "out", True))
+        monkeypatch.setattr("axijax.app.cli.run._PlainLines.tell", lambda *_: shutil.rmtree(tmp_path / "out", True))
         called = axijax("run", write(tmp_path / "tiny.toml", TINY), "--output", tmp_path / "out")
         assert called.code == 1 and "is gone" in called.err and called.err.endswith("run the case again.\n")
         assert "room" not in called.err and "resume" not in called.err
@@ -278,7 +278,7 @@ class TestWords:
         def full(path, write):
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr("axijax.runs.write_whole", full)
+        monkeypatch.setattr("axijax.app.runs.write_whole", full)
         called = axijax("run", write(tmp_path / "tiny.toml", TINY), "--output", tmp_path / "out")
         assert called.code == 1 and "make room there, then run the case again" in called.err
         assert "resume" not in called.err

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from axijax import Params, Scene, Sector, Specimen, TriaxialTest, fcc_octagon
-from axijax.dynamics import initial_state, make_step
-from axijax.energy import energy_balance, make_ledger_step, open_ledger
-from axijax.membrane import Load
-from axijax.neighbors import build_network, carry_memory
-from axijax.params import check_params
-from axijax.stages import simulate, start_shear
-from axijax.time_step import critical_time_step
-from axijax.vector import from_rows
+from axijax.core.vector import from_rows
+from axijax.mechanics.contact_list import build_network, carry_memory
+from axijax.mechanics.dynamics import initial_state, make_step
+from axijax.mechanics.energy import energy_balance, make_ledger_step, open_ledger
+from axijax.mechanics.membrane import Load
+from axijax.mechanics.params import check_params
+from axijax.mechanics.time_step import critical_time_step
+from axijax.triaxial.stages import simulate, start_shear
 from calibrate import Datum
 
 PAGE = Path(__file__).parent.parent / "examples" / "where_to_add.md"

@@ -8,18 +8,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from axijax import Hertz, Params, Scene, random_packing
-from axijax.contacts import geometry
-from axijax.dynamics import all_forces, initial_state, positions
-from axijax.engine import until_balls_moved
-from axijax.grading import linear, sieve_curve, two_sizes, uniform
-from axijax.membrane import build_membrane, lateral_force, membrane_load
-from axijax.neighbors import build_network
-from axijax.packing import cut_to_sector
-from axijax.random_packing import platen_speed, random_cylinder
-from axijax.sector import Sector
-from axijax.triaxial import TriaxialTest
-from axijax.vector import from_rows
+from axijax import Hertz, Params, Scene
+from axijax.core.sector import Sector
+from axijax.core.vector import from_rows
+from axijax.mechanics.contact_list import build_network
+from axijax.mechanics.contacts import geometry
+from axijax.mechanics.dynamics import all_forces, initial_state, positions
+from axijax.mechanics.membrane import build_membrane, lateral_force, membrane_load
+from axijax.specimen.grading import linear, sieve_curve, two_sizes, uniform
+from axijax.specimen.specimen import cut_to_sector
+from axijax.triaxial.engine import until_balls_moved
+from axijax.triaxial.random_specimen import platen_speed, random_cylinder
+from axijax.triaxial.test import TriaxialTest
+from axijax.triaxial.test import random_specimen as random_packing
 
 BALLS = {1: 60, 3: 90, 4: 96, 12: 144}
 TOLERANCE = 1e-3

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from cli_in_process import axijax
 
-from axijax import case
-from axijax.case import Case
+from axijax.app import case
+from axijax.app.case import Case
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -68,8 +68,8 @@ def test_what_check_prints_is_what_the_readme_shows():
     import contextlib
     import io
 
-    from axijax.cli_check import _print_forecast
-    from axijax.forecast import forecast
+    from axijax.app.cli.check import _print_forecast
+    from axijax.app.forecast import forecast
 
     out = io.StringIO()
     with contextlib.redirect_stdout(out):

@@ -18,23 +18,24 @@ import pytest
 from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
 from typer.testing import CliRunner
 
-from axijax import checks as checks_module
-from axijax import paraview, pictures, plot, results
-from axijax.case import Case
-from axijax.checks import result_checks
-from axijax.curve import RECORDS as CURVE_RECORDS
-from axijax.curve import Confinement, no_records
-from axijax.dynamics import all_forces, initial_state
-from axijax.membrane import membrane_load
-from axijax.observe import observe
-from axijax.progress import begin
-from axijax.report import report_page
-from axijax.results import RECORDS, open_result, open_results
-from axijax.runs import run_case
-from axijax.snapshot import snapshot
+from axijax.app import checks as checks_module
+from axijax.app import figures as pictures
+from axijax.app import paraview, plot, results
+from axijax.app.case import Case
+from axijax.app.checks import result_checks
+from axijax.app.report import report_page
+from axijax.app.results import RECORDS, open_result, open_results
+from axijax.app.runs import run_case
+from axijax.app.snapshot import snapshot
+from axijax.core.vector import Vector
+from axijax.mechanics.dynamics import all_forces, initial_state
+from axijax.mechanics.membrane import membrane_load
+from axijax.mechanics.observe import observe
 from axijax.theory import fcc_stress_ratio
-from axijax.triaxial import Progress
-from axijax.vector import Vector
+from axijax.triaxial.progress import begin
+from axijax.triaxial.records import RECORDS as CURVE_RECORDS
+from axijax.triaxial.records import Confinement, no_records
+from axijax.triaxial.test import Progress
 from calibrate import MeasuredCurve
 
 CASE = {
@@ -660,7 +661,7 @@ def test_report_escapes_what_it_did_not_write(result):
 
 
 def test_commands_write_what_they_say(folder, tmp_path, monkeypatch):
-    from axijax.cli import app
+    from axijax.app.cli.main import app
 
     monkeypatch.chdir(tmp_path)
     shutil.copytree(folder, "small")

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from cli_in_process import SMALL, axijax, write
 
-from axijax import runs
-from axijax.case import Case, load_case
-from axijax.results import open_result
-from axijax.runs import run_case
+from axijax.app import runs
+from axijax.app.case import Case, load_case
+from axijax.app.results import open_result
+from axijax.app.runs import run_case
 
 FILES = {"case.toml", "run.json", "checkpoint.npz", "curve.nc", "curve.csv", "curve.png"}
 LONGER = SMALL.replace("0.012", "0.016")
@@ -60,7 +60,7 @@ def interrupted(folder, monkeypatch, case=SMALL, number=signal.SIGINT, after=150
             os.kill(os.getpid(), number)
 
     with monkeypatch.context() as patch:
-        patch.setattr("axijax.cli_run._PlainLines.tell", noticing)
+        patch.setattr("axijax.app.cli.run._PlainLines.tell", noticing)
         return axijax("run", write(folder.parent / "small.toml", case), "--output", folder)
 
 
@@ -116,7 +116,7 @@ def test_a_run_stopped_before_it_was_confined_starts_again(finished, tmp_path, m
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("axijax.cli_run._PlainLines.tell", stop)
+        patch.setattr("axijax.app.cli.run._PlainLines.tell", stop)
         called = axijax("run", write(tmp_path / "small.toml"), "--output", folder)
     assert called.code == 130 and "before it was confined" in called.err
     assert {path.name for path in folder.iterdir()} == {"case.toml", "run.json"}
@@ -129,7 +129,7 @@ def test_overwriting_leaves_nothing_of_the_old(tmp_path, monkeypatch):
     assert axijax("run", write(tmp_path / "small.toml"), "--output", folder).code == 0
     (folder / "notes.txt").write_text("mine")
     with monkeypatch.context() as patch:
-        patch.setattr("axijax.cli_run._PlainLines.tell", lambda *_: os.kill(os.getpid(), signal.SIGINT))
+        patch.setattr("axijax.app.cli.run._PlainLines.tell", lambda *_: os.kill(os.getpid(), signal.SIGINT))
         assert axijax("run", tmp_path / "small.toml", "--output", folder, "--overwrite").code == 130
     assert not (folder / "curve.nc").exists() and (folder / "notes.txt").read_text() == "mine"
 
@@ -241,8 +241,8 @@ class TestRandomSpecimen:
     def test_it_is_kept_to_the_last_bit_and_not_made_again(self, random_run, monkeypatch):
         folder, _ = random_run
         _, specimen, _ = load_case(folder / "case.toml").made()
-        monkeypatch.setattr("axijax.random_packing.random_cylinder", None)
-        monkeypatch.setattr("axijax.case._packed", None)
+        monkeypatch.setattr("axijax.triaxial.random_specimen.random_cylinder", None)
+        monkeypatch.setattr("axijax.app.case._packed", None)
         kept = open_result(folder).test.specimen
         for field in ("positions", "radius", "membrane_zone"):
             np.testing.assert_array_equal(getattr(kept, field), getattr(specimen, field))
@@ -254,7 +254,7 @@ class TestRandomSpecimen:
         longer = write(tmp_path / "longer.toml", RANDOM.replace("0.004", "0.006"))
         assert axijax("run", longer, "--output", whole).code == 0
         folder = shutil.copytree(random_run[0], tmp_path / "out")
-        monkeypatch.setattr("axijax.case._packed", None)
+        monkeypatch.setattr("axijax.app.case._packed", None)
         assert axijax("resume", folder, "--axial-strain", "0.006").code == 0
         assert_same_result(folder, whole)
 

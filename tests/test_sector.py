@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 from axijax import Params, Scene
-from axijax.dynamics import all_forces, initial_state, make_step, positions
-from axijax.membrane import Load
-from axijax.neighbors import build_network, carry_memory
-from axijax.packing import Specimen, cut_to_sector, fcc_octagon
-from axijax.sector import ON_AXIS, Sector, radial_distance
-from axijax.vector import from_rows
+from axijax.core.sector import ON_AXIS, Sector, radial_distance
+from axijax.core.vector import from_rows
+from axijax.mechanics.contact_list import build_network, carry_memory
+from axijax.mechanics.dynamics import all_forces, initial_state, make_step, positions
+from axijax.mechanics.membrane import Load
+from axijax.specimen.specimen import Specimen, cut_to_sector, fcc_octagon
 
 TRAP_RATE = 0.1
 STEP = 0.1

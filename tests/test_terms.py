@@ -14,10 +14,11 @@ from few_balls import SCENE, Pull, constant_load, few_balls, hertz_params, jit, 
 from test_energy import balances, closing, spent
 
 from axijax import Dashpot, LocalDamping, Params, Sector, TriaxialTest, fcc_octagon
-from axijax.capped_spring import capped
-from axijax.dynamics import all_forces, initial_state
-from axijax.neighbors import build_network
-from axijax.packing import Specimen
+from axijax.core.vector import from_rows
+from axijax.mechanics.capped_spring import capped
+from axijax.mechanics.contact_list import build_network
+from axijax.mechanics.dynamics import all_forces, initial_state
+from axijax.specimen.specimen import Specimen
 from axijax.theory import (
     dashpot_restitution,
     gross_sliding_impact,
@@ -25,7 +26,6 @@ from axijax.theory import (
     slide_to_roll,
     sticking_velocity_ratio,
 )
-from axijax.vector import from_rows
 
 INF = float("inf")
 BOTH_LAWS = pytest.mark.parametrize("make", [unit_params, hertz_params], ids=["linear", "hertz"])

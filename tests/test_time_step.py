@@ -11,16 +11,16 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from axijax import Dashpot, LocalDamping, Params, Scene, theory
-from axijax.curve import CHATTER, SimulationError
-from axijax.dynamics import initial_state, make_step, positions
-from axijax.membrane import Load, membrane_load
-from axijax.neighbors import build_network
-from axijax.packing import Specimen, cut_to_sector, fcc_octagon
-from axijax.sector import Sector
-from axijax.status import UNSTABLE
-from axijax.time_step import SAFE_STEP, critical_time_step
-from axijax.triaxial import TriaxialTest
-from axijax.vector import Vector
+from axijax.core.sector import Sector
+from axijax.core.status import UNSTABLE
+from axijax.core.vector import Vector
+from axijax.mechanics.contact_list import build_network
+from axijax.mechanics.dynamics import initial_state, make_step, positions
+from axijax.mechanics.membrane import Load, membrane_load
+from axijax.mechanics.time_step import SAFE_STEP, critical_time_step
+from axijax.specimen.specimen import Specimen, cut_to_sector, fcc_octagon
+from axijax.triaxial.records import CHATTER, SimulationError
+from axijax.triaxial.test import TriaxialTest
 
 RADIUS, STIFFNESS, DENSITY = 20.0, 1.5e9, 2000.0
 MASS = 4 / 3 * np.pi * RADIUS**3 * DENSITY

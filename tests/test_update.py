@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from test_neighbors import ANY_OVERLAP, every_pair, from_both_sides, listed, random_balls
 
-from axijax import Params, progress
-from axijax.curve import SimulationError
-from axijax.engine import current_load
-from axijax.neighbors import Grid, build_network, carry, carry_memory
-from axijax.packing import fcc_octagon
-from axijax.sector import Sector
-from axijax.status import FULL_LIST, NOT_FINITE, STALE_LIST
-from axijax.term import Memory
-from axijax.triaxial import TriaxialTest
-from axijax.update import contact_list, update
-from axijax.vector import from_rows
+from axijax import Params
+from axijax.core.sector import Sector
+from axijax.core.status import FULL_LIST, NOT_FINITE, STALE_LIST
+from axijax.core.vector import from_rows
+from axijax.mechanics.contact_list import Grid, build_network, carry, carry_memory
+from axijax.mechanics.contact_search import contact_list, update
+from axijax.mechanics.term import Memory
+from axijax.specimen.specimen import fcc_octagon
+from axijax.triaxial.engine import current_load
+from axijax.triaxial.records import SimulationError
+from axijax.triaxial.test import TriaxialTest, progress
 
 SKIN = 0.3
 WIDTH, CONTACTS = 124, 624  # enough for every order: few programs are compiled

@@ -10,17 +10,17 @@ import pytest
 from scipy.ndimage import distance_transform_edt, label
 
 from axijax import Params
-from axijax.dynamics import Scene, initial_state
-from axijax.grading import sieve_curve
-from axijax.membrane import build_membrane, membrane_load
-from axijax.observe import observe
-from axijax.packing import fcc_octagon
-from axijax.random_packing import platen_speed, random_cylinder
-from axijax.sector import Sector
-from axijax.triaxial import TriaxialTest
-from axijax.update import grid_for, renew
-from axijax.vector import from_rows
-from axijax.volume import void_ratio
+from axijax.core.sector import Sector
+from axijax.core.vector import from_rows
+from axijax.mechanics.contact_search import grid_for, renew
+from axijax.mechanics.dynamics import Scene, initial_state
+from axijax.mechanics.membrane import build_membrane, membrane_load
+from axijax.mechanics.observe import observe
+from axijax.mechanics.volume import void_ratio
+from axijax.specimen.grading import sieve_curve
+from axijax.specimen.specimen import fcc_octagon
+from axijax.triaxial.random_specimen import platen_speed, random_cylinder
+from axijax.triaxial.test import TriaxialTest
 
 FCC = 3 * 2**0.5 / np.pi - 1  # void ratio of touching equal balls in face-centred cubic order
 

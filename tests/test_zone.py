@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from axijax.membrane import build_membrane, cell_areas, membrane_radius, stale_cells
-from axijax.packing import Specimen, cut_to_sector, fcc_octagon
-from axijax.sector import Sector
-from axijax.vector import from_rows
-from axijax.zone import HOLE, cell_polygons, outer_balls, visible_share, zone_found_again
+from axijax.core.sector import Sector
+from axijax.core.vector import from_rows
+from axijax.mechanics.membrane import build_membrane, cell_areas, membrane_radius, stale_cells
+from axijax.mechanics.outer_balls import HOLE, cell_polygons, outer_balls, visible_share, zone_found_again
+from axijax.specimen.specimen import Specimen, cut_to_sector, fcc_octagon
 
 SECTORS = [Sector(1), Sector(2), Sector(3), Sector(12), Sector(4, "rigid")]
 

@@ -13,7 +13,7 @@ what: "shear" is the shear alone from the confined state, `blocks` records of 50
 tangents: 0, 1 (friction) or 3 (and both stiffnesses), forward mode. reverse: for "slopes", the gradient of the window
     mean in reverse mode, without the fast kernels, which it cannot have.
 tests: for "shear", so many at once: in as many threads as cores on a CPU, by vmap elsewhere; for "batch", members of an
-    `axijax.batch.run_batch` of whole tests, friction from 0.05 to 0.3.
+    `axijax.app.batch.run_batch` of whole tests, friction from 0.05 to 0.3.
 least_seconds: repeat the run until so much time has passed, and report the time of one.
 scene: file for the peers, written once confined.
 """
@@ -34,7 +34,7 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
 import axijax  # noqa: E402
-from axijax.time_step import DEFAULT_STEP  # noqa: E402
+from axijax.mechanics.time_step import DEFAULT_STEP  # noqa: E402
 
 LARGE = 3000  # balls from which the search for the critical step takes longer than what is timed
 DIRECTIONS = ("friction", "normal_stiffness", "shear_stiffness")
@@ -48,7 +48,7 @@ def make_test(options) -> axijax.TriaxialTest:
     params = axijax.Params(**damping, **options.get("params", {}))
     keywords = {"tolerance": 1e-2, "dtype": np.dtype(options.get("dtype", "float64")).type, **options.get("test", {})}
     if options.get("lattice"):
-        from axijax.lattice import lattice_load
+        from axijax.mechanics.lattice_load import lattice_load
 
         scene = replace(scene, rotation=False)
         stiffness = 10 * params.normal_stiffness
@@ -87,9 +87,9 @@ class Program:
         self.compile_seconds = time.perf_counter() - began
 
     def _shear(self, options, test):
-        from axijax.curve import make_curve
-        from axijax.engine import fixed_load, march
-        from axijax.stages import start_shear
+        from axijax.triaxial.engine import fixed_load, march
+        from axijax.triaxial.records import make_curve
+        from axijax.triaxial.stages import start_shear
 
         confined, balance = test.confine()
         prepared = test.prepared
@@ -172,7 +172,7 @@ class Program:
     def traffic(self):
         """Bytes moved per ball-step: as the compiled step does it, and at the least (everything once); and the
         device's bandwidth [bytes/s], measured by a copy far larger than its caches."""
-        from axijax.dynamics import make_step
+        from axijax.mechanics.dynamics import make_step
 
         params, prepared, state, fixed = self.arguments
         network = prepared.network
@@ -197,7 +197,7 @@ class Program:
 
 def batch(program: Program, tests: int) -> dict:
     """One reply for a batch of whole tests."""
-    from axijax.batch import parameter_grid, run_batch
+    from axijax.app.batch import parameter_grid, run_batch
 
     test = program.test
     members = parameter_grid(test, friction=np.linspace(0.05, 0.3, tests).tolist())

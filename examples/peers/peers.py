@@ -49,9 +49,9 @@ def write_scene(path: Path, test, state, load) -> None:
     """
     if test.sector.order != 1 or np.ptp(test.cut.radius) > 0:
         raise ValueError("peers take the full cylinder (sector order 1) of equal balls.")
-    from axijax.damping import LocalDamping
-    from axijax.dynamics import positions
-    from axijax.quantity import values_of
+    from axijax.core.quantity import values_of
+    from axijax.mechanics.damping import LocalDamping
+    from axijax.mechanics.dynamics import positions
 
     params = test.params
     # Peers may be asked for local damping where ours has dashpots.

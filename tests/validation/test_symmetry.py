@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from axijax import Sector, TriaxialTest, fcc_octagon, raise_for_status
-from axijax.dynamics import initial_state, make_step, positions
-from axijax.membrane import membrane_load
-from axijax.packing import cut_to_sector
+from axijax.mechanics.dynamics import initial_state, make_step, positions
+from axijax.mechanics.membrane import membrane_load
+from axijax.specimen.specimen import cut_to_sector
 
 ORDERS = (1, 2, 4)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from axijax import Params, Scene, Sector, TriaxialTest, fcc_octagon, raise_for_status
-from axijax.lattice import lattice_load
+from axijax.mechanics.lattice_load import lattice_load
 
 FRICTIONS = (0.0, 0.05, 0.12278, 0.2, 0.25, 0.3)
 

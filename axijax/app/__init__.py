@@ -1,0 +1,1 @@
+"""What people use: case files, runs, batches, results, pictures, reports."""

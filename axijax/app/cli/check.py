@@ -1,0 +1,88 @@
+"""The command check: a case before it runs, a result after it did."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from axijax.app.cli.run import Json
+
+if TYPE_CHECKING:
+    from axijax.app.checks import Check
+    from axijax.app.forecast import Forecast
+
+
+def check(
+    what: Annotated[Path, typer.Argument(help="Case file, or the folder of a result.")],
+    as_json: Json = False,
+) -> None:
+    """Check a case before it runs, or a result after it did; exit code 1 where something is not sound.
+
+    A case: time step and its limit, inertial number, steps, time (from 1000 steps that are run and measured) and
+    memory, and warnings. A result: equilibrium after confinement, platen against internal stress, the membrane's
+    cells, chatter, and the energy ledger over the first 0.05 % of strain, which is run again for it.
+    """
+    if what.is_dir():
+        from axijax.app.checks import result_checks
+        from axijax.app.results import open_result
+
+        checks = result_checks(open_result(what), energy=True)
+        sound = all(one.passed is not False for one in checks)
+        if as_json:
+            print(json.dumps({"sound": sound, "checks": [one._asdict() for one in checks]}))
+        else:
+            _print_checks(checks)
+        if not sound:
+            raise typer.Exit(1)
+    else:
+        from axijax.app.case import load_case
+        from axijax.app.forecast import forecast
+
+        found = forecast(load_case(what))
+        print(json.dumps(found._asdict())) if as_json else _print_forecast(found)
+
+
+def _print_forecast(found: "Forecast") -> None:
+    share = found.time_step / found.critical_time_step
+    lines = {
+        "specimen": f"{found.balls} balls in the sector, {found.contacts} pairs in the list; height "
+        f"{found.height:.4g}, radius {found.membrane_radius:.4g} [L]",
+        "critical time step": f"{found.critical_time_step:.4g} [T]",
+        "time step": f"{found.time_step:.4g} [T], {share:.2f} of the critical one",
+        "inertial number": f"{found.inertial_number:.2g}  (2 v/H 2 r sqrt(density/s3); quasi-static below 1e-3)",
+        "softness": f"{found.softness:.2g}  (s3 r/kn)",
+        "steps": f"{found.shear_steps} of shear with {found.records} records, after about {found.confinement_steps} of "
+        "confinement",
+    }
+    if found.seconds is not None and found.ball_steps_per_second is not None:
+        lines["time"] = (
+            f"about {_duration(found.seconds)}, compiling included, at {found.ball_steps_per_second / 1e6:.2g} million "
+            "ball-steps/s  (measured now, over some 1000 steps)"
+        )
+    if found.memory is not None:
+        lines["memory"] = f"{found.memory / 2**20:.0f} MiB  (this process, now)"
+    for name, text in lines.items():
+        print(f"{name:20}{text}")
+    for text in found.warnings:
+        print(f"warning: {text}.")
+    print("no warnings" if not found.warnings else f"{len(found.warnings)} warnings")
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def _print_checks(checks: "list[Check]") -> None:
+    for one in checks:
+        value = one.value if isinstance(one.value, str) else f"{one.value:.2g}"
+        limit = one.limit if isinstance(one.limit, str) else f"at most {one.limit:.2g}"
+        mark = {True: "ok  ", False: "FAIL", None: "note"}[one.passed]
+        print(f"{mark}  {one.name}: {value}  ({limit})")
+        if not one.passed:
+            print(f"      {one.meaning}.")
+    counts = {mark: sum(one.passed is mark for one in checks) for mark in (True, False, None)}
+    told = f"{counts[True]} of {counts[True] + counts[False]} checks passed"
+    print(told + (f", {counts[None]} without a limit" if counts[None] else ""))

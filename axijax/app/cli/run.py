@@ -1,0 +1,262 @@
+"""The commands new, run and resume."""
+
+import json
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from axijax.app.cli.errors import INTERRUPTED, complain
+
+if TYPE_CHECKING:
+    from axijax.triaxial.random_specimen import PackingReport
+    from axijax.triaxial.test import Progress, Run, TriaxialTest
+
+Json = Annotated[bool, typer.Option("--json", help="One JSON object a line on standard output, for programs.")]
+
+
+def new(
+    file: Annotated[Path, typer.Argument(help="Case file to write (TOML).")],
+    kind: Annotated[str, typer.Option(help="Specimen: octagon, fcc, bcc, hcp, sc or random.")] = "octagon",
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file where it exists.")] = False,
+) -> None:
+    """Write a case file in which every field is set to its default, with its unit and what is allowed.
+
+    Change what you like, delete what you do not care for, then `axijax check` and `axijax run` it.
+    """
+    from axijax.app.case import default_case, to_toml
+    from axijax.core.files import remove_leftovers, write_whole
+
+    text = to_toml(default_case(kind))
+    if file.exists() and not overwrite:
+        raise ValueError(f"'{file}' exists: choose another name, or --overwrite.")
+    remove_leftovers(file.parent)
+    try:
+        write_whole(file, lambda target: target.write_text(text))
+    except OSError as error:
+        raise ValueError(f"case file '{file}' cannot be written ({error.strerror}): choose another place.") from None
+    typer.echo(f"Written: {file}")
+
+
+def run(
+    case: Annotated[Path, typer.Argument(help="Case file (TOML), see `axijax new`.")],
+    output: Annotated[
+        Path | None, typer.Option(help="Folder for the result; left out: results/ and the name of the case file.")
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the result that the folder holds.")] = False,
+    snapshots: Annotated[
+        int,
+        typer.Option(
+            min=0, max=100_000, help="Snapshots for ParaView, evenly over the shear (1000 steps apart at least)."
+        ),
+    ] = 0,
+    as_json: Json = False,
+) -> None:
+    """Run the triaxial test of a case file into a folder.
+
+    The folder gets the case as it was run, run.json (versions, times, status), the curve as curve.nc, curve.csv and
+    curve.png, and checkpoint.npz. Ctrl-C, SIGTERM and a terminal that closes stop it with a checkpoint, from which
+    `axijax resume` goes on. --overwrite replaces what a run wrote, and no other file.
+    """
+    from axijax.app.case import load_case
+    from axijax.app.runs import run_case
+
+    loaded = load_case(case)
+    folder = Path("results") / case.stem if output is None else output
+    with _live(folder, as_json) as live:
+        command = ["axijax", *sys.argv[1:]]
+        if loaded.specimen.kind == "random":
+            live.show("packing", f"packing {loaded.specimen.balls} balls at random")
+        done = run_case(
+            loaded, folder, case.stem, live.tell,
+            overwrite=overwrite, snapshots=snapshots, command=command, packed=live.packed,
+        )  # fmt: skip
+        live.finished(done)
+
+
+def resume(
+    result: Annotated[Path, typer.Argument(help="Folder of an interrupted or finished run.")],
+    axial_strain: Annotated[
+        float | None, typer.Option(help="Go on to this axial strain [-] instead of the case's.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Go on with a run from its checkpoint: the result is that of a run that was never stopped, to the last bit."""
+    from axijax.app import runs
+
+    if axial_strain is not None and not 0 < axial_strain < 0.5:
+        raise ValueError(f"--axial-strain = {axial_strain:g}: must lie between 0 and 0.5.")
+    with _live(result, as_json) as live:
+        live.finished(runs.resume(result, live.tell, axial_strain))
+
+
+@contextmanager
+def _live(folder: Path, as_json: bool) -> "Iterator[_Live]":
+    from axijax.app.runs import Interrupted
+
+    kind = _JsonLines if as_json else _LiveLine if sys.stdout.isatty() else _PlainLines
+    try:
+        with kind(folder) as live:
+            yield live
+    except Interrupted as stop:
+        complain(str(stop))
+        raise typer.Exit(INTERRUPTED) from None
+
+
+class _Live:
+    """What a run says of itself while it goes on; a context for the time of the run."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.started = time.perf_counter()
+        self.marks: list[tuple[float, float, int]] = []  # time, strain, steps
+
+    def __enter__(self) -> "_Live":
+        return self
+
+    def __exit__(self, kind, error, trace) -> None:
+        pass
+
+    def tell(self, test: "TriaxialTest", now: "Progress | None") -> None:
+        """Take note of where a run stands, and show it."""
+        if now is None:
+            steps = test.prepared.numerics.records * test.record_every
+            return self.show("preparing", f"{len(test.cut)} balls, {steps} steps")
+        self.marks.append((time.perf_counter(), now.strain, now.taken))
+        if len(self.marks) == 1:
+            balance, goal = now.confinement, f"shearing to {100 * test.axial_strain:g} %"
+            if now.strain > 0:
+                self.show("resumed", f"going on from {100 * now.strain:.3g} % axial strain; {goal}")
+            else:
+                found = f"{int(balance.steps)} steps to an unbalanced force of {float(balance.unbalanced_force):.1e}"
+                self.show("confined", f"confined in {found}; {goal}")
+        rate, left = self.speed(test)
+        self.advance(test, now, rate, left)
+
+    def packed(self, report: "PackingReport") -> None:
+        """What a random specimen has become."""
+        self.show("packed", str(report))
+
+    def speed(self, test: "TriaxialTest") -> tuple[float | None, float | None]:
+        """Ball-steps a second and seconds left, from the last stretches; the first one, which compiles, left out."""
+        marks = self.marks[1:][-20:]
+        if len(marks) < 2:
+            return None, None
+        (start, strain, steps), (end, reached, more) = marks[0], marks[-1]
+        rate = (more - steps) * len(test.cut) / (end - start)
+        left = max(test.axial_strain - reached, 0.0) * (end - start) / (reached - strain) if reached > strain else None
+        return rate, left
+
+    def show(self, event: str, text: str) -> None:
+        """One thing that happened once."""
+
+    def advance(self, test: "TriaxialTest", now: "Progress", rate: float | None, left: float | None) -> None:
+        """Where the shear stands."""
+
+    def finished(self, run: "Run") -> None:
+        """The last word."""
+        from axijax.triaxial.records import find_peak
+
+        peak = find_peak(run.curve.axial_strain, run.curve.stress_ratio)
+        self.show("finished", f"{peak}; {time.perf_counter() - self.started:.1f} s; result in {self.folder}")
+
+
+class _PlainLines(_Live):
+    """A line for each thing that happened, no more: for logs and pipes."""
+
+    def show(self, event: str, text: str) -> None:
+        print(text, flush=True)
+
+
+class _LiveLine(_Live):
+    """One line of a terminal that is written again and again."""
+
+    def __init__(self, folder: Path) -> None:
+        from rich.console import Console
+        from rich.live import Live
+
+        super().__init__(folder)
+        self.live = Live(console=Console(highlight=False), refresh_per_second=8, transient=True)
+
+    def __enter__(self) -> "_Live":
+        self.live.start()
+        return self
+
+    def __exit__(self, kind, error, trace) -> None:
+        with suppress(OSError):  # the terminal may be gone
+            self.live.stop()
+
+    def show(self, event: str, text: str) -> None:
+        from rich.spinner import Spinner
+
+        if event == "packing":
+            self.live.update(Spinner("dots", text))
+        elif event == "preparing":
+            self.live.update(Spinner("dots", f"confining {text}"))
+        else:
+            self.live.console.print(text, highlight=False, soft_wrap=True)
+
+    def advance(self, test: "TriaxialTest", now: "Progress", rate: float | None, left: float | None) -> None:
+        from rich.text import Text
+
+        parts = [  # together within 80 columns
+            f"{'shearing' if rate else 'compiling'} {100 * now.strain:.3f} %",
+            f"s1/s3 {now.stress_ratio:.4f}",
+            f"unbalanced {now.unbalanced_force:.0e}",
+        ]
+        if rate is not None:
+            parts.append(f"{rate / 1e6:.1f}M ball-steps/s")
+        if left is not None:
+            parts.append(f"{left // 60:.0f}:{left % 60:02.0f} left")
+        self.live.update(Text("  ".join(parts), no_wrap=True, overflow="crop"))
+
+
+class _JsonLines(_Live):
+    """One JSON object a line."""
+
+    def say(self, **values) -> None:
+        print(json.dumps({"seconds": round(time.perf_counter() - self.started, 3), **values}), flush=True)
+
+    def show(self, event: str, text: str) -> None:
+        if event != "finished":
+            self.say(event=event)
+
+    def packed(self, report: "PackingReport") -> None:
+        from axijax.app.runs import packing_values
+
+        self.say(event="packed", **packing_values(report))
+
+    def advance(self, test: "TriaxialTest", now: "Progress", rate: float | None, left: float | None) -> None:
+        self.say(
+            event="progress",
+            stage="shearing",
+            axial_strain=now.strain,
+            stress_ratio=now.stress_ratio,
+            unbalanced_force=now.unbalanced_force,
+            steps=now.taken,
+            ball_steps_per_second=rate and round(rate),
+            seconds_left=left and round(left, 1),
+        )
+
+    def finished(self, run: "Run") -> None:
+        from axijax.triaxial.records import find_peak
+
+        peak = find_peak(run.curve.axial_strain, run.curve.stress_ratio)
+        self.say(
+            event="finished",
+            result=str(self.folder),
+            peak_stress_ratio=peak.stress_ratio,
+            axial_strain_at_peak=peak.axial_strain,
+            peak_reached=peak.reached,
+            **({} if peak.reached else {"warning": str(peak)}),
+        )
+
+    def __exit__(self, kind, error, trace) -> None:
+        if error is not None:
+            stopped = "interrupted" if kind.__name__ == "Interrupted" else "failed"
+            with suppress(OSError):
+                self.say(event=stopped, message=str(error))

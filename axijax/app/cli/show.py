@@ -1,0 +1,119 @@
+"""Commands that show what a run has left: plot, report, snapshot. Heavy imports happen inside the commands."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from axijax.app.cli.errors import filling
+
+AGAIN = "run it again"
+_RESULTS = typer.Argument(
+    metavar="RESULT...", help="Folders that `axijax run` made, or files of curves (curve.nc).", show_default=False
+)
+_DATA = typer.Option(help="Measured curve to overlay, CSV with columns such as 'axial_strain [%]' and 'stress_ratio'.")
+
+
+def plot(
+    result: Annotated[list[Path], _RESULTS],
+    kind: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Picture: curve (all results in one), force-network, fabric-rose, membrane-cells, section, specimen, "
+            "or all; may be given several times.",
+            show_default="curve",
+        ),
+    ] = None,
+    data: Annotated[Path | None, _DATA] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            help="PNG file for one picture, or folder.", show_default="RESULT/pictures, or ./pictures for several"
+        ),
+    ] = None,
+) -> None:
+    """Draw curves of one or several runs, compared with theory and data, and the balls, forces and membrane cells."""
+    from axijax.app.figures import KINDS
+    from axijax.app.plot import plot_result
+
+    kinds = kind or ["curve"]
+    if "all" in kinds:
+        kinds = ["curve", *KINDS]
+    results = _open(result)
+    folder = output or (result[0] / "pictures" if len(result) == 1 and result[0].is_dir() else Path("pictures"))
+    measured = _measured(data)
+    with filling(folder.parent if folder.suffix else folder, AGAIN):
+        paths = plot_result(results, kinds, folder, measured)
+    _tell(paths)
+
+
+def report(
+    result: Annotated[list[Path], _RESULTS],
+    data: Annotated[Path | None, _DATA] = None,
+    energy: Annotated[
+        bool, typer.Option(help="Check the energy ledger too: shears the first 0.05 % of strain again.")
+    ] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option(help="HTML file to write.", show_default="RESULT/report.html, or ./report.html for several"),
+    ] = None,
+) -> None:
+    """Write one HTML page that stands alone: inputs, curves, checks, pictures and how to make it again.
+
+    Several results are compared on one page. Nothing in the page is fetched from elsewhere.
+    """
+    from axijax.app.report import write_report
+    from axijax.core.files import writable_folder
+
+    results = _open(result)
+    path = output or (result[0] / "report.html" if len(result) == 1 and result[0].is_dir() else Path("report.html"))
+    if path.is_dir():
+        raise ValueError(f"output '{path}' is a folder: name an HTML file in it.")
+    measured = _measured(data)
+    with filling(writable_folder(path.parent), AGAIN):
+        write_report(results, path, measured, energy)
+    _tell([path])
+
+
+def snapshot(
+    result: Annotated[
+        Path, typer.Argument(metavar="RESULT", help="Folder that `axijax run` made.", show_default=False)
+    ],
+    full: Annotated[bool, typer.Option(help="Fill in the sector's images to the whole cylinder.")] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option(help="Folder to write to.", show_default="RESULT/snapshots, or RESULT/snapshots-full"),
+    ] = None,
+) -> None:
+    """Write the last state of a run for ParaView: balls, contacts, membrane cells and platens (VTK XML, .pvd indexes).
+
+    In a folder that holds snapshots of the same run already, the last state is added, with axial strain as time.
+    """
+    from axijax.app.paraview import SnapshotWriter
+    from axijax.app.results import open_result
+    from axijax.core.files import writable_folder
+
+    opened = open_result(result)
+    progress = opened.progress
+    folder = writable_folder(output or result / ("snapshots-full" if full else "snapshots"))
+    with filling(folder, AGAIN):
+        paths = SnapshotWriter(folder, opened.test, full)(progress)
+    _tell(paths)
+
+
+def _open(paths: list[Path]):
+    from axijax.app.results import open_results
+
+    return [result for path in paths for result in open_results(path)]
+
+
+def _measured(path: Path | None):
+    if path is None:
+        return None
+    from calibrate import MeasuredCurve
+
+    return MeasuredCurve.from_csv(path)
+
+
+def _tell(paths: list[Path]) -> None:
+    print("Written: " + ", ".join(str(path) for path in paths))

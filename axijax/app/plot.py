@@ -1,0 +1,328 @@
+"""Pictures of results and of the paper's figures, with matplotlib (imported on first use of this module)."""
+
+import difflib
+import warnings
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import matplotlib
+import numpy as np
+from matplotlib.collections import EllipseCollection
+from matplotlib.figure import Figure
+
+from axijax import theory
+from axijax.app.results import Result, open_result
+from axijax.core.files import draw_afterwards, printable, writable_folder, write_whole
+from axijax.triaxial.progress import Run
+from axijax.triaxial.test import TriaxialTest
+
+if TYPE_CHECKING:
+    from axijax.app.case import Case
+
+# Colours that the colour-blind tell apart (Okabe and Ito 2008); lines beyond them change their style.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+STYLES = ("-", "--", "-.", ":")
+FRICTION_COLOURS = {0.05: "#2a9d8f", 0.12278: "#1d3557", 0.2: "#e9a23b", 0.3: "#c1440e"}
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG, whole or not at all."""
+    write_whole(path, lambda target: figure.savefig(target, dpi=150, bbox_inches="tight"))
+
+
+def stress_ratio_figure(rows) -> Figure:
+    """Stress ratio against axial strain of Table 1's runs, like figure 4(a) of the paper, with Thornton's lines."""
+    figure = Figure(figsize=(10, 5.5), layout="constrained")
+    axes = figure.add_subplot()
+    styles = {"periodic": "-", "rigid": "--", "full": ":"}
+    for row in rows:
+        run, curve = row.paper_run, row.run.curve
+        colour = FRICTION_COLOURS.get(run.friction, "black")
+        label = {
+            "periodic": f"quarter, periodic planes, f = {run.friction:g}",
+            "rigid": f"quarter, rigid planes, f = {run.friction:g}",
+            "full": f"full cylinder, f = {run.friction:g}",
+        }[run.boundary]
+        full = run.boundary == "full"
+        axes.plot(
+            100 * np.asarray(curve.axial_strain), curve.stress_ratio, styles[run.boundary],
+            color="#e63946" if full else colour, lw=2.2 if full else 1.6, label=label, zorder=3 if full else 2,
+        )  # fmt: skip
+        values = row.values()
+        axes.plot(
+            100 * run.paper_strain, run.paper, "o" if run.boundary == "periodic" else "s",
+            color=colour, mfc="white" if run.boundary != "periodic" else colour, ms=6, zorder=4,
+        )  # fmt: skip
+        if run.boundary == "periodic":
+            axes.axhline(values["theory"], color=colour, lw=0.8, alpha=0.6)
+            name = f"Thornton, f = {run.friction:g}"
+            axes.text(0.985, values["theory"] + 0.02, name, color=colour, size=8, ha="right")
+    axes.plot([], [], "o", color="grey", label="paper's peaks, periodic planes")
+    axes.plot([], [], "s", color="grey", mfc="white", label="paper's peaks, rigid planes and full system")
+    axes.set(
+        xlim=(0, 1), ylim=(1, 4), xlabel="axial strain [%]", ylabel="stress ratio s1/s3 [-]",
+        title="FCC specimen, triaxial compression (Cui & O'Sullivan 2005, figure 4a)",
+    )  # fmt: skip
+    axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
+    axes.grid(alpha=0.3)
+    return figure
+
+
+class Measured(Protocol):
+    """A measured curve: strains are fractions, compression positive; see `calibrate.MeasuredCurve`."""
+
+    axial_strain: np.ndarray
+    stress_ratio: np.ndarray
+    volumetric_strain: np.ndarray | None
+    source: str
+
+
+def case_of(result: Result) -> "Case | None":
+    """The case of a result, None where it has kept none."""
+    try:
+        return result.case
+    except ValueError:
+        return None
+
+
+def labels(results: Sequence[Result]) -> list[str]:
+    """A name for each of several results: the fields in which their cases differ, or else what they are called."""
+    names = [result.name for result in results]
+    cases = [case_of(result) for result in results]
+    if len(results) > 1 and all(case is not None for case in cases):
+        flat = [
+            {
+                f"{section}.{field}": value
+                for section, fields in case.model_dump().items()
+                for field, value in fields.items()
+            }
+            for case in cases
+            if case is not None
+        ]
+        known = dict.fromkeys(field for fields in flat for field in fields)
+        # The time step that a run has chosen follows from the rest.
+        known.pop("test.time_step", None)
+        differing = [field for field in known if len({repr(fields.get(field)) for fields in flat}) > 1]
+        told = [
+            ", ".join(
+                f"{field.split('.')[1].replace('_', ' ')} {_short(fields[field])}"
+                for field in differing
+                if field in fields
+            )
+            for fields in flat
+        ]
+        if len(set(told)) == len(told) and max(map(len, told)) <= 60:
+            names = told
+    return [
+        name if result.status == "finished" else f"{name} ({result.status})"
+        for name, result in zip(names, results, strict=True)
+    ]
+
+
+def thornton_ratio(case: "Case") -> float | None:
+    """Thornton's stress ratio of the ideal array where the specimen is an FCC one, 2 (1 + f) / (1 - f) [-].
+
+    None for other specimens, and for a friction of 1 or more."""
+    friction = case.parameters.friction if case.scene.friction else 0.0
+    if case.specimen.kind not in ("octagon", "fcc") or friction >= 1:  # where the ideal array locks
+        return None
+    return float(theory.fcc_stress_ratio(friction))
+
+
+def _plain(text: str) -> str:
+    """A name as it is: matplotlib would read what is between two $ as mathematics."""
+    return printable(text).replace("$", r"\$")
+
+
+def _short(value) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def curve_figure(results: Sequence[Result], data: Measured | None = None) -> Figure:
+    """Stress ratio and volumetric strain against axial strain, one line a run; Thornton's stress ratio where the
+    specimen is an FCC array; measured data as points."""
+    figure = Figure(figsize=(7.5, 7.5), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    lines: dict[str, tuple[float, str]] = {}
+    for number, (result, name) in enumerate(zip(results, labels(results), strict=True)):
+        curve, case = result.curve, case_of(result)
+        colour, style = COLOURS[number % len(COLOURS)], STYLES[number // len(COLOURS) % len(STYLES)]
+        strain = 100 * curve.axial_strain.values
+        # Thinner from one to the next, so that runs that coincide still show.
+        width = 1.6 + 1.6 * (len(results) - 1 - number) / max(len(results) - 1, 1)
+        line = {"color": colour, "ls": style, "lw": width}
+        upper.plot(strain, curve.stress_ratio.values, label=_plain(name), **line)
+        lower.plot(strain, 100 * curve.volumetric_strain.values, **line)
+        ratio = None if case is None else thornton_ratio(case)
+        if case is not None and ratio is not None:
+            friction = case.parameters.friction if case.scene.friction else 0.0
+            lines.setdefault(f"Thornton (1979), f = {friction:g}", (ratio, colour))
+    end = max(100 * float(result.curve.axial_strain.max()) for result in results)
+    for label, (ratio, colour) in lines.items():
+        upper.plot([0, end], [ratio, ratio], color=colour, lw=1, ls=(0, (6, 3)), label=label)
+    if data is not None:
+        points = {"color": "black", "ls": "none", "marker": "o", "mfc": "none", "ms": 5}
+        label = _plain(f"measured, {Path(data.source).name}")
+        upper.plot(100 * data.axial_strain, data.stress_ratio, label=label, **points)
+        if data.volumetric_strain is not None:
+            lower.plot(100 * data.axial_strain, 100 * data.volumetric_strain, **points)
+    upper.set(ylabel="stress ratio s1/s3 [-]")
+    upper.legend(frameon=False)
+    lower.set(xlabel="axial strain [%]", ylabel="volumetric strain [%]\n(compression positive)")
+    for axes in (upper, lower):
+        axes.grid(alpha=0.3)
+    return figure
+
+
+def plot_result(
+    results: Sequence[Result], kinds: Sequence[str], output: Path, data: Measured | None = None
+) -> list[Path]:
+    """Draw results as PNG files and return their paths.
+
+    kinds: "curve" (all results in one picture), and of `pictures.KINDS`, one picture a result: "force-network",
+        "fabric-rose", "membrane-cells", "section", "specimen".
+    output: a file where one picture is made; otherwise a folder, made where it is missing.
+    data: measured curve for "curve".
+
+    A picture that cannot be drawn costs a warning, the others are drawn all the same.
+
+    Raises ValueError for an unknown kind, for several pictures in one file, for a result without a last state, and
+    where no picture could be drawn.
+    """
+    from axijax.app import figures as pictures
+    from axijax.app.snapshot import snapshot
+
+    kinds = list(dict.fromkeys(kinds))
+    known = ("curve", *pictures.KINDS)
+    for kind in kinds:
+        if kind not in known:
+            near = difflib.get_close_matches(kind, known, n=1, cutoff=0.4)
+            hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}."
+            raise ValueError(f"kind = '{kind}' is no picture; {hint}")
+    count = sum(1 if kind == "curve" else len(results) for kind in kinds)
+    if output.suffix and count > 1:
+        raise ValueError(f"output '{output}': {count} pictures do not fit one file; give a folder.")
+    writable_folder(output.parent if output.suffix else output)
+    paths: list[Path] = []
+    missing: list[str] = []
+
+    def save(make: Callable[[], Figure], name: str) -> None:
+        path = output if output.suffix else output / f"{name}.png"
+        problem = draw_afterwards(path.name, lambda: save_figure(make(), path))
+        if problem is None:
+            paths.append(path)
+        else:
+            missing.append(problem)
+
+    if "curve" in kinds:
+        save(lambda: curve_figure(results, data), "curve")
+    drawn = [kind for kind in kinds if kind != "curve"]
+    names = [result.name for result in results]
+    for number, result in enumerate(results):
+        if not drawn:
+            break
+        seen = snapshot(result.test, result.progress, full=True)
+        unique = names[number] if names.count(names[number]) == 1 else f"{names[number]}-{number + 1}"
+        for kind in drawn:
+            save(partial(pictures.KINDS[kind], seen), kind if len(results) == 1 else f"{unique}-{kind}")
+    if not paths:
+        raise ValueError("; ".join(missing) + ".")
+    for problem in missing:
+        warnings.warn(problem, stacklevel=2)
+    return paths
+
+
+def local_shear(test: TriaxialTest, displacement: np.ndarray) -> np.ndarray:
+    """How far each ball has moved against its first neighbours, at most, in diameters; (N,)."""
+    network = test.network
+    listed = np.asarray(network.image) >= 0
+    first, second, image = (np.asarray(a)[listed] for a in (network.first, network.second, network.image))
+    relative = displacement[:, first] - test.sector.rotate(displacement[:, second], image)
+    size = np.linalg.norm(relative, axis=0)
+    largest = np.zeros(len(test.cut))
+    np.maximum.at(largest, first, size)
+    np.maximum.at(largest, second, size)
+    return largest / (2 * test.cut.radius)
+
+
+def deformed_figure(test: TriaxialTest, run: Run) -> Figure:
+    """The deformed specimen, like figure 4(b) of the paper: from outside, in section through the axis, and in plan.
+
+    The sector's images are filled in. Colour: displacement relative to the first neighbours, which draws the shear
+    planes; ringed balls carry the membrane; dashed lines are the sector planes.
+    """
+    sector = test.sector
+    displacement = run.positions - test.cut.positions
+    shear = local_shear(test, displacement)
+    turns = np.repeat(np.arange(sector.images), len(test.cut))
+    balls = np.tile(np.arange(len(test.cut)), sector.images)
+    once = (turns == 0) | ~sector.on_axis(test.cut.positions, test.cut.radius)[balls]
+    balls, turns = balls[once], turns[once]
+    x, y, z = sector.rotate(run.positions[:, balls], turns)
+    moved = sector.rotate(displacement[:, balls], turns)
+    value, radius, zone = shear[balls], test.cut.radius[balls], test.cut.membrane_zone[balls]
+    bottom, top = (float(height) for height in run.state.platens)
+    unit = float(test.cut.radius.mean())
+    colours = matplotlib.colors.Normalize(0.0, max(float(np.quantile(shear, 0.98)), 1e-12))
+    curve = run.curve
+
+    figure = Figure(figsize=(13.5, 6.2), layout="constrained")
+    outside, section, plan = figure.subplots(1, 3, width_ratios=(1, 1, 1.05))
+    cut_open = (y > -0.3 * unit) & (y < 1.3 * unit)
+    views = (
+        (outside, np.ones(x.size, bool), x, z, y, "from outside"),
+        (section, cut_open, x, z, y, "section beside the axis"),
+        (plan, np.abs(z - (bottom + top) / 2) < 1.8 * unit, x, y, z, "plan at mid-height"),
+    )
+    for axes, shown, across, up, depth, title in views:
+        order = np.flatnonzero(shown)
+        order = order[np.argsort(-depth[order] if axes is not plan else depth[order])]
+        size = 2 * radius[order] / unit
+        circles = EllipseCollection(
+            size, size, np.zeros(order.size), units="xy", transOffset=axes.transData,
+            offsets=np.stack([across[order], up[order]], axis=1) / unit,
+            edgecolors=np.where(zone[order], "black", "0.6"), linewidths=np.where(zone[order], 1.1, 0.3),
+            cmap="YlOrRd", norm=colours,
+        )  # fmt: skip
+        circles.set_array(value[order])
+        axes.add_collection(circles)
+        axes.set(aspect="equal", title=title, xlabel="x / r")
+    for axes in (outside, section):
+        for height in (bottom, top):
+            axes.axhline(height / unit, color="0.2", lw=3)
+        axes.set(xlim=(-12.5, 12.5), ylim=(bottom / unit - 1, top / unit + 1), ylabel="z / r")
+    lines = np.flatnonzero(cut_open)
+    section.quiver(
+        x[lines] / unit, z[lines] / unit, moved[0][lines] / unit, moved[2][lines] / unit,
+        angles="xy", scale_units="xy", scale=1, width=0.003, color="#1d3557",
+    )  # fmt: skip
+    reach = 12.0
+    for k in range(sector.order):
+        angle = k * sector.angle
+        plan.plot([0, reach * np.cos(angle)], [0, reach * np.sin(angle)], "--", color="#1d3557", lw=1)
+    ring = np.linspace(0, 2 * np.pi, 181)
+    membrane = float(curve.membrane_radius[-1]) / unit
+    plan.plot(membrane * np.cos(ring), membrane * np.sin(ring), color="#2a9d8f", lw=1, label="membrane radius Rm")
+    plan.legend(loc="lower right", fontsize=8)
+    plan.set(xlim=(-12.5, 12.5), ylim=(-12.5, 12.5), ylabel="y / r")
+    figure.colorbar(
+        matplotlib.cm.ScalarMappable(colours, "YlOrRd"), ax=[outside, section, plan], shrink=0.7, pad=0.01,
+        label="displacement relative to first neighbours / diameter",
+    )  # fmt: skip
+    figure.suptitle(
+        f"Deformed specimen, f = {float(test.params.friction):g}, "
+        f"axial strain {100 * float(curve.axial_strain[-1]):.1f} % "
+        "(arrows: displacement; ringed: membrane zone; dashed: sector planes)"
+    )
+    return figure
+
+
+def draw_curve(folder: Path) -> str | None:
+    """Draw curve.png of the curve.nc in a folder: None, or a sentence that says why it is missing."""
+
+    def draw() -> None:
+        save_figure(curve_figure([open_result(folder / "curve.nc")]), folder / "curve.png")
+
+    return draw_afterwards("curve.png", draw)

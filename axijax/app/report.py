@@ -1,0 +1,306 @@
+"""A report: one HTML page that stands alone, with inputs, curves, checks, pictures and how to make it again.
+
+Everything is inside the page (pictures as data URIs, no script, nothing fetched), so that it can be mailed, archived,
+opened offline and printed.
+"""
+
+import base64
+import io
+import shlex
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from functools import partial
+from html import escape
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from axijax.app import figures as pictures
+from axijax.app.case import SECTIONS, to_toml
+from axijax.app.checks import result_checks
+from axijax.app.plot import Measured, case_of, curve_figure, labels, thornton_ratio
+from axijax.app.results import LONG_NAMES, RECORDS, UNITS, Result
+from axijax.app.snapshot import snapshot
+from axijax.core.files import draw_afterwards, write_whole
+from axijax.triaxial.records import find_peak
+
+DPI = 110
+
+CAPTIONS = {
+    "specimen": "The specimen: the balls that are simulated, and their images.",
+    "section": "Vertical section and plan, coloured by the mean stress of each ball.",
+    "force-network": "Contact forces in the vertical section; lines are as wide as the normal force.",
+    "fabric-rose": "Directions of the contact normals; 1 where all directions are alike. Axisymmetric, so one quadrant "
+    "is shown four times.",
+    "membrane-cells": "The membrane's cells on the unfolded cylinder: each outer ball carries the confining stress on "
+    "its cell.",
+}
+
+VERDICTS = {
+    True: '<span class="passed">passed</span>',
+    False: '<span class="failed">NOT passed</span>',
+    None: '<span class="note">no limit</span>',
+}
+
+STYLE = """
+:root { color-scheme: light; }
+body { font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; color: #1b1f23;
+  background: #fff; max-width: 62rem; margin: 2.5rem auto; padding: 0 1.5rem; }
+h1 { font-size: 1.9rem; line-height: 1.2; margin: 0 0 .3rem; }
+h2 { font-size: 1.3rem; margin: 2.6rem 0 .6rem; padding-bottom: .25rem; border-bottom: 1px solid #d0d7de; }
+h3 { font-size: 1.05rem; margin: 1.6rem 0 .3rem; }
+p.lead, figcaption, .note { color: #57606a; }
+.note { font-size: .9rem; }
+table { border-collapse: collapse; margin: .6rem 0; font-variant-numeric: tabular-nums; }
+th, td { text-align: left; vertical-align: top; padding: .28rem 1rem .28rem 0; border-bottom: 1px solid #eaeef2; }
+thead th { border-bottom: 1px solid #8c959f; font-weight: 600; }
+td.number { text-align: right; white-space: nowrap; }
+th.number { text-align: right; }
+table.inputs { width: 100%; }
+table.inputs th:nth-child(1) { width: 13rem; } table.inputs th:nth-child(2) { width: 11rem; }
+.figures { display: flex; flex-wrap: wrap; gap: 1.2rem 2rem; margin: 1.4rem 0; }
+.figures div { min-width: 8rem; }
+.figures b { display: block; font-size: 1.5rem; line-height: 1.25; font-weight: 600; }
+.figures span { font-size: .88rem; color: #57606a; }
+figure { margin: 1.4rem 0; break-inside: avoid; }
+figure img { max-width: 100%; max-height: 42rem; display: block; }
+.beside { display: flex; flex-wrap: wrap; gap: 1rem 2.5rem; align-items: flex-end; }
+.beside figure { max-width: 30rem; } .beside img { max-height: 34rem; }
+figcaption { font-size: .9rem; margin-top: .4rem; }
+.passed { color: #1a7f37; } .failed { color: #b35900; font-weight: 600; }
+.warning { border-left: 4px solid #b35900; padding: .5rem 1rem; background: #fff8f0; }
+pre { background: #f6f8fa; padding: .8rem 1rem; overflow-x: auto; font-size: .85rem; line-height: 1.4; }
+@media print { body { margin: 0; max-width: none; font-size: 10.5pt; } h2 { break-after: avoid; }
+  pre { white-space: pre-wrap; } }
+"""
+
+
+def write_report(results: Sequence[Result], output: Path, data: Measured | None = None, energy: bool = False) -> Path:
+    """Write the report of one result, or of several side by side, as one HTML file; returns its path.
+
+    output: the file. data: measured curve for the picture of curves. energy: check the energy ledger too.
+
+    Raises ValueError for a result without a case, and OSError where the file cannot be written.
+    """
+    page = report_page(results, data, energy)
+    # A file's name need not be text.
+    write_whole(Path(output), lambda target: target.write_text(page, encoding="utf-8", errors="replace"))
+    return Path(output)
+
+
+def report_page(results: Sequence[Result], data: Measured | None = None, energy: bool = False) -> str:
+    """The page as text; arguments as in `write_report`."""
+    names = labels(results)
+    several = len(results) > 1
+    title = "Triaxial test " + results[0].name if not several else f"{len(results)} triaxial tests compared"
+    body = [
+        f"<h1>{escape(title)}</h1>",
+        f'<p class="lead">Discrete element simulation of a triaxial test with axijax {escape(version("axijax"))}; '
+        f"report of {datetime.now(UTC):%d %B %Y, %H:%M} UTC. Compression is positive; units are any consistent set of "
+        "length [L], mass [M] and time [T], force [F] = [M L/T²].</p>",
+        *(_warning(result, name) for result, name in zip(results, names, strict=True)),
+    ]
+    if several:
+        body += ["<h2>Comparison</h2>", _comparison(results, names)]
+    else:
+        body.append(_figures(results[0]))
+    body += ["<h2>Curves</h2>", _figure(lambda: curve_figure(results, data), _curves_caption(results, data), "curves")]
+    for result, name in zip(results, names, strict=True):
+        head = (lambda text, name=name: f"<h2>{escape(name)}: {text}</h2>") if several else "<h2>{}</h2>".format
+        body += [head("Checks" if not several else "checks"), _checks(result, energy)]
+        body += [head("Inputs" if not several else "inputs"), _inputs(result)]
+        if result.has_state:
+            body += [head("Pictures" if not several else "pictures"), *_pictures(result)]
+        body += [head("How to make it again" if not several else "how to make it again"), _reproduce(result)]
+    body += ["<h2>What the curves mean</h2>", _glossary()]
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
+        + "\n".join(part for part in body if part)
+        + "\n</body>\n</html>\n"
+    )
+
+
+def _warning(result: Result, name: str) -> str:
+    told = [f"{name}: {text}" for text in result.info.get("warnings", ())]
+    if result.status != "finished":
+        message = result.info.get("message") or "the curves end where it was last saved"
+        told.insert(0, f"{name} has not finished (status: {result.status}): {message}")
+    return "\n".join(f'<p class="warning">{escape(text)}</p>' for text in told)
+
+
+def _summary(result: Result) -> dict[str, str]:
+    """What a reader looks for first, by name."""
+    curve, case = result.curve, case_of(result)
+    peak = find_peak(curve.axial_strain.values, curve.stress_ratio.values)
+    if peak.reached:
+        summary = {"peak stress ratio s1/s3 [-]": f"{peak.stress_ratio:.4g}"}
+        summary["axial strain at the peak [%]"] = f"{100 * peak.axial_strain:.3g}"
+    else:
+        summary = {f"largest stress ratio s1/s3 so far [-], {peak.doubt}": f"{peak.stress_ratio:.4g}"}
+        summary["axial strain there [%]"] = f"{100 * peak.axial_strain:.3g}"
+    if case is not None and thornton_ratio(case) is not None:
+        summary["Thornton (1979), rigid balls that do not rotate [-]"] = f"{thornton_ratio(case):.4g}"
+    summary |= {
+        "core stress ratio there [-]": f"{float(curve.core_ratio[peak.record]):.4g}",
+        "volumetric strain at the end [%]": f"{100 * float(curve.volumetric_strain[-1]):.3g}",
+        "axial strain reached [%]": f"{100 * float(curve.axial_strain[-1]):.3g}",
+    }
+    return summary
+
+
+def _figures(result: Result) -> str:
+    cells = "".join(f"<div><b>{value}</b><span>{escape(name)}</span></div>" for name, value in _summary(result).items())
+    return f'<div class="figures">{cells}</div>'
+
+
+def _comparison(results: Sequence[Result], names: Sequence[str]) -> str:
+    summaries = [_summary(result) for result in results]
+    columns = list(dict.fromkeys(name for summary in summaries for name in summary))
+    rows = [
+        [name, *(summary.get(column, "") for column in columns)] for name, summary in zip(names, summaries, strict=True)
+    ]
+    return _table(["run", *columns], rows, numbers=range(1, len(columns) + 1))
+
+
+def _curves_caption(results: Sequence[Result], data: Measured | None) -> str:
+    text = "Stress ratio and volumetric strain against axial strain."
+    if any((case := case_of(result)) is not None and thornton_ratio(case) is not None for result in results):
+        text += " Dashed: Thornton's stress ratio of the ideal FCC array, 2 (1 + f) / (1 - f)."
+    if data is not None:
+        text += f" Circles: measured, {data.source}."
+    return text
+
+
+def _checks(result: Result, energy: bool) -> str:
+    rows = [
+        [
+            escape(check.name),
+            escape(check.value) if isinstance(check.value, str) else f"{check.value + 0.0:.2g}",
+            check.limit if isinstance(check.limit, str) else f"≤ {check.limit:.2g}",
+            VERDICTS[check.passed],
+            f'<span class="note">{escape(check.meaning)}</span>',
+        ]
+        for check in result_checks(result, energy)
+    ]
+    return _table(["check", "found", "allowed", "", "what it tells"], rows, numbers=(1, 2), escaped=True)
+
+
+def _inputs(result: Result) -> str:
+    parts = []
+    for section, given in result.case.model_dump().items():
+        model, about = SECTIONS[section]
+        rows = [[field, _shown(value), model.model_fields[field].description or ""] for field, value in given.items()]
+        parts.append(f"<h3>{escape(section)}</h3><p class='note'>{escape(about)}</p>")
+        parts.append(_table(["field", "value", "meaning and unit"], rows, style="inputs"))
+    if result.has_state:
+        test = result.test
+        rows = [
+            ["time step", f"{test.prepared.time_step:.5g}", "taken, [T]"],
+            ["steps", str(test.prepared.numerics.records * test.record_every), "of the shear"],
+            ["balls", str(len(test.cut)), "in the sector"],
+            ["membrane balls", str(int(test.cut.membrane_zone.sum())), "of these, at the start"],
+            ["height", f"{test.cut.height:.5g}", "of the specimen as made [L]"],
+        ]
+        parts += ["<h3>what follows from these</h3>", _table(["", "value", "meaning and unit"], rows, style="inputs")]
+    return "\n".join(parts)
+
+
+def _pictures(result: Result) -> Iterable[str]:
+    seen = snapshot(result.test, result.progress, full=True)
+    own = int((seen.balls.image == 0).sum())
+    yield (
+        f'<p class="note">The last state, at {100 * seen.axial_strain:.3g} % axial strain (a run ends with a whole '
+        f"stretch of steps, so a little past the curves): {own} balls simulated, {seen.balls.number.size} with the "
+        f"images of the sector, {seen.contacts.first.size} touching contacts among these.</p>"
+    )
+    figures = {
+        kind: _figure(partial(pictures.KINDS[kind], seen), caption, kind)
+        for kind, caption in CAPTIONS.items()
+        if kind != "membrane-cells" or seen.membrane.polygons
+    }
+    yield f'<div class="beside">{figures.pop("specimen")}{figures.pop("force-network")}</div>'
+    yield from figures.values()
+
+
+def _reproduce(result: Result) -> str:
+    """Commands, versions, machine and the case file."""
+    known = {**result.curve.attrs, **result.info}
+    versions = {name: known[name] for name in ("axijax", "jax", "numpy", "python") if name in known}
+    told = ", ".join(f"{name} {number}" for name, number in versions.items()) or "the same versions"
+    commands = f"axijax run case.toml --output {result.name}\naxijax check {result.name}\naxijax report {result.name}\n"
+    parts = [
+        f"<p>With {escape(told)}, and the case below saved as case.toml:</p>",
+        f"<pre>{escape(commands)}</pre>",
+        "<p>On the same machine these versions give the same numbers to the last bit.</p>",
+    ]
+    rows = [[name, value] for name, value in _flat(result.info) if name not in ("status", "message", "warnings")]
+    if rows:
+        parts += ["<h3>Run</h3>", _table(["", ""], rows)]
+    parts += ["<h3>Case file</h3>", f"<pre>{escape(to_toml(result.case))}</pre>"]
+    return "\n".join(parts)
+
+
+def _flat(values: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, str]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{above}{name}, ")
+        elif value not in (None, ""):
+            yield f"{above}{name}".replace("_", " "), _shown(value)
+
+
+def _glossary() -> str:
+    rows = [[name, f"[{'-' if UNITS[name] == '1' else UNITS[name]}]", LONG_NAMES[name]] for name in RECORDS]
+    return _table(["in curve.nc and curve.csv", "unit", "meaning"], rows)
+
+
+def _shown(value) -> str:
+    if value is None:
+        return "left out"
+    if isinstance(value, list | tuple):  # a command line
+        return shlex.join(map(str, value))
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f"{value:g}" if isinstance(value, float) and float(f"{value:g}") == value else str(value)
+
+
+def _figure(make: Callable[[], Figure], caption: str, alt: str) -> str:
+    """A picture, or why there is none: the rest of the page is worth having without it."""
+    target = io.BytesIO()
+    problem = draw_afterwards(
+        f"the picture '{alt}'", lambda: make().savefig(target, dpi=DPI, bbox_inches="tight", format="png")
+    )
+    if problem is not None:
+        return f'<p class="warning">{escape(problem)}</p>'
+    image = base64.b64encode(target.getvalue()).decode("ascii")
+    return (
+        f'<figure><img alt="{escape(alt)}" src="data:image/png;base64,{image}">'
+        f"<figcaption>{escape(caption)}</figcaption></figure>"
+    )
+
+
+def _table(
+    heads: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    numbers: Iterable[int] = (),
+    escaped: bool = False,
+    style: str = "",
+) -> str:
+    numbers = set(numbers)
+    kind = [' class="number"' if place in numbers else "" for place in range(len(heads))]
+
+    def line(tag, cells):
+        return "".join(
+            f"<{tag}{mark}>{cell if escaped else escape(str(cell))}</{tag}>"
+            for mark, cell in zip(kind, cells, strict=True)
+        )
+
+    top = f"<thead><tr>{line('th', heads)}</tr></thead>" if any(heads) else ""
+    return (
+        f'<table class="{style}">{top}<tbody>'
+        + "".join(f"<tr>{line('td', row)}</tr>" for row in rows)
+        + "</tbody></table>"
+    )

@@ -1,0 +1,146 @@
+"""One step of the discrete element method: forces, damping, integration.
+
+Central differences with velocities half a step behind the positions (Cundall & Strack 1979): forces from the
+positions at t and the velocities at t - dt/2 give the velocities at t + dt/2, these the positions at t + dt.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from axijax.core.quantity import parts_of
+from axijax.core.vector import Vector, zeros
+from axijax.mechanics.contact_list import Network
+from axijax.mechanics.contacts import ContactForces, ContactTerm
+from axijax.mechanics.lateral import LateralTerm
+from axijax.mechanics.membrane import Load
+from axijax.mechanics.params import Params
+from axijax.mechanics.state import State
+from axijax.mechanics.term import Memory, Push, Term, total
+from axijax.mechanics.walls import WallTerm
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is modelled that is not a number; static and hashable. The parts of `Params` say the rest.
+
+    rotation: balls may spin.
+    """
+
+    rotation: bool = True
+
+
+def spins(scene: Scene, params: Params) -> bool:
+    """Whether balls spin: nothing turns them where neither contacts nor platens have friction."""
+    return scene.rotation and (params.material.frictional or params.material.platen_friction is not None)
+
+
+def terms_of(params: Params, load: Load | None = None) -> tuple[Term, ...]:
+    """The terms of a scene in their order: contacts, walls, lateral load, and what else is part of the parameters."""
+    further = (each for each in parts_of(params) if isinstance(each, Term))
+    return ContactTerm(), WallTerm(), LateralTerm(load), *further
+
+
+class Forces(NamedTuple):
+    """All forces at one moment.
+
+    resultant: (N,) unbalanced force on each ball, before any damping but the dashpots' [F].
+    moment: (N,) [F L], or None where nothing spins.
+    pushes: of each term.
+    """
+
+    resultant: Vector
+    moment: Vector | None
+    pushes: tuple[Push, ...]
+
+    @property
+    def contacts(self) -> ContactForces:
+        """What the law made of each contact."""
+        return self.pushes[0].detail
+
+    @property
+    def platen_push(self) -> tuple[jax.Array, jax.Array]:
+        """Push of the bottom and of the top platen on each ball, (N,) each, positive [F]."""
+        bottom, top = self.pushes[1].detail.normal[:2]
+        return bottom, top
+
+    @property
+    def memory(self) -> tuple[Memory, ...]:
+        """Of each term, one step later."""
+        return tuple(push.memory for push in self.pushes)
+
+    def platen_forces(self, network: Network) -> jax.Array:
+        """(2,) forces that the balls put on the platens of a sector [F]."""
+        return jnp.stack([(push * network.weight).sum() for push in self.platen_push])
+
+
+def initial_state(scene: Scene, params: Params, network: Network, platens) -> State:
+    """Balls at rest at the reference positions, springs unstrained; platens: (2,) heights [L]."""
+    still = zeros(network.radius.shape, network.dtype)
+    return State(
+        displacement=still,
+        velocity=still,
+        spin=still if spins(scene, params) else None,
+        memory=tuple(term.init(params, network) for term in terms_of(params)),
+        platens=jnp.asarray(platens, jnp.float64),
+        platen_speeds=jnp.zeros(2, network.dtype),
+        time=jnp.zeros((), jnp.float64),
+    )
+
+
+def positions(network: Network, state: State) -> Vector:
+    """Ball centres (N,) [L]."""
+    return network.positions + state.displacement
+
+
+def all_forces(scene: Scene, params: Params, network: Network, load: Load, dt, state: State) -> Forces:
+    """The sum of all terms at the positions of `state`."""
+    terms = terms_of(params, load)
+    pushes = tuple(
+        term.forces(params, network, dt, state, memory) for term, memory in zip(terms, state.memory, strict=True)
+    )
+    force, moment = total(pushes, "force"), total(pushes, "moment")
+    assert force is not None
+    if network.sector.images > 1:
+        force = Vector(force.x * network.free.x, force.y * network.free.y, force.z)
+        if moment is not None:
+            moment = Vector(moment.x * network.free.x, moment.y * network.free.y, moment.z)
+    return Forces(force, moment if spins(scene, params) else None, pushes)
+
+
+# A platen drive gives the platens' velocities at t + dt/2, see `axijax.triaxial.paths.Path.platen_speeds`.
+PlatenDrive = Callable[[Params, Network, Any, State, jax.Array, jax.Array], jax.Array]
+
+
+def make_step(scene: Scene, drive: PlatenDrive):
+    """A pure function step(params, network, load, dt, state) -> state for one scene and one way to move the platens."""
+
+    def step(params: Params, network: Network, load: Load, dt, state: State) -> State:
+        forces = all_forces(scene, params, network, load, dt, state)
+        platen_speeds = drive(params, network, dt, state, forces.platen_forces(network), load.section)
+        velocity, spin = next_motion(params, network, dt, state, forces)
+        return State(
+            displacement=state.displacement + velocity * dt,
+            velocity=velocity,
+            spin=spin,
+            memory=forces.memory,
+            platens=state.platens + dt * platen_speeds,
+            platen_speeds=platen_speeds,
+            time=state.time + dt,
+        )
+
+    return step
+
+
+def next_motion(params: Params, network: Network, dt, state: State, forces: Forces):
+    """Velocities and spins (or None) at t + dt/2 from the forces at t; (N,) vectors [L/T], [1/T]."""
+    mass = params.material.mass_per_cube * network.radius**3
+    advance = partial(params.material.kind_of_damping.advance, dt, positions(network, state))
+    velocity = advance(state.velocity, forces.resultant, 1 / mass)
+    if state.spin is None or forces.moment is None:
+        return velocity, None
+    return velocity, advance(state.spin, forces.moment, 1 / (0.4 * mass * network.radius**2))

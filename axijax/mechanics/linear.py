@@ -1,0 +1,60 @@
+"""Linear contacts: springs of constant stiffness, between balls and against plates."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from axijax.core.quantity import quantity
+from axijax.core.tree import pytree
+from axijax.mechanics.contact_list import Network
+from axijax.mechanics.contacts import Law
+from axijax.mechanics.material import Material
+from axijax.mechanics.walls import Wall
+
+
+@pytree
+@dataclass(frozen=True)
+class Linear(Material):
+    """Linear springs (Cundall & Strack 1979), by default those of Cui & O'Sullivan (2005); plates are like balls.
+
+    Stiffnesses are the contact's, not the ball's.
+    """
+
+    normal_stiffness: jax.Array | float = quantity(
+        1.5e9, "normal stiffness of a contact", "F/L", above=0.0, symbols=("kn",)
+    )
+    shear_stiffness: jax.Array | float = quantity(
+        1.5e9, "tangential stiffness of a contact", "F/L", above=0.0, symbols=("ks",)
+    )
+
+    def contact_law(self, network: Network) -> Law:
+        friction = self.contact_friction(network) if self.frictional else None
+        stiffness = self.normal_stiffness, self.shear_stiffness
+        beta = self.kind_of_damping.viscosity_ratio
+        if beta is None:
+            return Law(*stiffness, friction, None, None)
+        reduced_mass = self.mass_per_cube * network.pair_cube
+        return Law(*stiffness, friction, *(2 * beta * jnp.sqrt(k * reduced_mass) for k in stiffness))
+
+    def wall_law(self, network: Network) -> Wall:
+        stiffness = self.normal_stiffness
+        shear = None if self.platen_friction is None else self.shear_stiffness
+        beta = self.kind_of_damping.viscosity_ratio
+        if beta is None:
+            return Wall(stiffness, None, shear, None)
+        mass = self.mass_per_cube * network.radius**3
+        viscosity = [None if k is None else 2 * beta * jnp.sqrt(k * mass) for k in (stiffness, shear)]
+        return Wall(stiffness, viscosity[0], shear, viscosity[1])
+
+    def confined_stiffness(self, network, stress):
+        return self.normal_stiffness, self.shear_stiffness
+
+    def stiffness_over(self, reference):
+        return jnp.maximum(
+            self.normal_stiffness / reference.normal_stiffness, self.shear_stiffness / reference.shear_stiffness
+        )
+
+    def stiffest(self, network, stress, touching_within):
+        normal, shear = float(self.normal_stiffness), float(self.shear_stiffness)
+        return normal, shear, lambda balls, area, overlap: (normal, shear)

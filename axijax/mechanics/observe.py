@@ -1,0 +1,152 @@
+"""What a test measures at one moment: stress ratios, strains, coordination, sliding, balance. Compression positive."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from axijax.core.sector import radial_distance
+from axijax.core.vector import Vector
+from axijax.mechanics.contact_list import Network
+from axijax.mechanics.contacts import Geometry, geometry
+from axijax.mechanics.dynamics import Forces, Scene, all_forces, next_motion, positions
+from axijax.mechanics.membrane import Load, Membrane, lateral_force, membrane_radius
+from axijax.mechanics.params import Params
+from axijax.mechanics.state import State
+from axijax.mechanics.volume import solid_volume, void_ratio
+
+
+class Observation(NamedTuple):
+    """Measured at one moment; every field a scalar.
+
+    stress_ratio: R = s1/s3 with s1 = platen force / area of the sector of radius Rm (Cui & O'Sullivan 2005) [-].
+    virial_ratio: F H / (1/2 sum F_i rho_i), platen force F against the lateral load F_i at rho_i; no area in it [-].
+    core_ratio: vertical over mean horizontal Love-Weber stress of the balls within rho < Rm/2 and the middle 60 %
+        of the height [-].
+    height, membrane_radius: distance of the platens and radius Rm [L].
+    volume: of the full cylinder, see `axijax.mechanics.volume` [L^3].
+    void_ratio: voids over solids below the skin, counted [-].
+    coordination_number: mean number of touching contacts of a ball, platens not counted [-].
+    unbalanced_force: mean resultant on a ball over mean contact force [-].
+    sliding_fraction: share of the touching contacts at the Coulomb limit [-].
+    chatter: how far contacts move to and fro from one step to the next, see `chatter` [-].
+    """
+
+    stress_ratio: jax.Array
+    virial_ratio: jax.Array
+    core_ratio: jax.Array
+    height: jax.Array
+    membrane_radius: jax.Array
+    volume: jax.Array
+    void_ratio: jax.Array
+    coordination_number: jax.Array
+    unbalanced_force: jax.Array
+    sliding_fraction: jax.Array
+    chatter: jax.Array
+
+
+def observe(
+    scene: Scene, params: Params, network: Network, membrane: Membrane, load: Load, dt, state: State
+) -> Observation:
+    """Measure a state; arguments as in `axijax.mechanics.dynamics.all_forces`."""
+    forces = all_forces(scene, params, network, load, dt, state)
+    place = positions(network, state)
+    height = state.platens[1] - state.platens[0]
+    platen_force = forces.platen_forces(network).mean()
+    lateral = lateral_force(params.confining_stress, load, place)
+    radius = membrane_radius(membrane, place)
+    voids = void_ratio(place, network.radius, network.weight, network.sector, state.platens.astype(network.dtype))
+    if membrane.zone_rule == "exposure":
+        volume = (1 + voids) * solid_volume(network.radius, network.weight, network.sector)
+    else:
+        volume = jnp.pi * radius**2 * height
+
+    force = forces.contacts.force
+    pair = geometry(network, state.displacement)
+    normal = pair.branch * (1 / jnp.sqrt(pair.branch.dot(pair.branch)))
+    normal_force = force.dot(normal)
+    touching = (pair.overlap > 0) * network.share
+    number = touching.sum()
+    some = jnp.maximum(number, 1e-300)
+    mean_force = (normal_force * network.share).sum() / some
+    resultant = jnp.sqrt(forces.resultant.dot(forces.resultant) + 1e-300)
+    sliding = jnp.zeros_like(number)
+    if forces.contacts.moment_arm is not None:
+        sliding = (at_coulomb_limit(params, network, force, normal) * touching).sum() / some
+    return Observation(
+        stress_ratio=platen_force / load.section / params.confining_stress,
+        virial_ratio=platen_force * height / jnp.maximum(-0.5 * lateral.dot(place).sum(), 1e-300),
+        core_ratio=core_stress_ratio(network, forces, normal, place, radius, state.platens),
+        height=height,
+        membrane_radius=radius,
+        volume=volume,
+        void_ratio=voids,
+        coordination_number=2 * number / network.weight.sum(),
+        unbalanced_force=(resultant * network.weight).sum() / network.weight.sum() / jnp.maximum(mean_force, 1e-300),
+        sliding_fraction=sliding,
+        chatter=chatter(params, network, dt, state, forces, pair, normal),
+    )
+
+
+def at_coulomb_limit(params: Params, network: Network, force: Vector, normal: Vector) -> jax.Array:
+    """Which contacts slide, by their forces and normals, (C,) vectors; the cap is a product of rounded numbers."""
+    normal_force = force.dot(normal)
+    tangential = force - normal * normal_force
+    limit = (1 - 1e-6) * params.material.contact_friction(network) * normal_force
+    return tangential.dot(tangential) >= limit**2
+
+
+def chatter(params: Params, network: Network, dt, state: State, forces: Forces, pair: Geometry, normal):
+    """How far contacts move to and fro from one step to the next, against what their springs hold [-].
+
+    -sum(u . u') / sum(s^2) over the touching contacts, u and u' being the slips of this step and of the next, s the
+    slip at the Coulomb limit, f times normal force over ks; likewise for the approach in the normal direction, with
+    the overlap for s. The larger of the two. A mode that is too fast for the time step changes sign at every step, and
+    all that the Coulomb cap leaves of it is this. Slips of a sound run go on as they began: it stays below zero, or
+    within rounding of it. It has no derivative.
+    """
+    params, state, forces, pair, normal = jax.lax.stop_gradient((params, state, forces, pair, normal))
+
+    def moved(velocity: Vector, spin: Vector | None) -> tuple[Vector, jax.Array]:
+        relative = network.of_first(velocity) - network.of_second(velocity)
+        if spin is not None:
+            surface = spin * network.radius
+            turning = network.of_first(surface) + network.of_second(surface)
+            relative = relative - turning.cross(pair.branch) * pair.per_reach
+        approach = relative.dot(normal)
+        return (relative - normal * approach) * dt, approach * dt
+
+    slip, approach = moved(state.velocity, state.spin)
+    next_slip, next_approach = moved(*next_motion(params, network, dt, state, forces))
+    overlap = jnp.maximum(pair.overlap, 0.0)
+    touching = (overlap > 0) * network.share
+
+    def reversing(product, scale):
+        squares = (touching * scale**2).sum()
+        return jnp.where(squares > 0, -(touching * product).sum() / jnp.where(squares > 0, squares, 1.0), 0.0)
+
+    along = reversing(approach * next_approach, overlap)
+    if state.spring is None:
+        return along
+    law = params.material.contact_law(network).at(pair, None, dt)
+    limit = params.material.contact_friction(network) * overlap * (law.normal_stiffness / law.shear_stiffness)
+    return jnp.maximum(along, reversing(slip.dot(next_slip), limit))
+
+
+def in_core(place: Vector, radius, platens) -> jax.Array:
+    """Which places are in the inner core, rho < Rm/2 and the middle 60 % of the height; platens: (2,) heights [L]."""
+    middle, height = platens.mean(), platens[1] - platens[0]
+    return (radial_distance(place) < radius / 2) & (jnp.abs(place.z - middle) < 0.3 * height)
+
+
+def core_stress_ratio(network: Network, forces: Forces, normal, place, radius, platens) -> jax.Array:
+    """Vertical over mean horizontal Love-Weber stress of the inner core; the mean is the same for all images.
+
+    Each ball adds force times arm of its own half of a contact; the core's volume drops out of the ratio.
+    """
+    arm = network.radius * in_core(place, radius, platens)
+    arm = network.share * (arm[network.first] + arm[network.second])
+    force = forces.contacts.force
+    vertical = (force.z * normal.z * arm).sum()
+    horizontal = 0.5 * ((force.x * normal.x + force.y * normal.y) * arm).sum()
+    return jnp.where(horizontal > 0, vertical / jnp.where(horizontal > 0, horizontal, 1.0), jnp.nan)

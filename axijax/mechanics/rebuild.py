@@ -1,0 +1,84 @@
+"""Contact list and membrane built again on the host, in the shapes that they have where these suffice.
+
+A new shape is compiled anew, so lists of random packings have room to spare. `axijax.mechanics.contact_search` rebuilds inside jit.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from axijax.core.sector import Sector
+from axijax.core.vector import zeros
+from axijax.mechanics.contact_list import Network, build_network, carry_memory
+from axijax.mechanics.dynamics import positions
+from axijax.mechanics.membrane import Membrane, build_membrane
+from axijax.mechanics.outer_balls import zone_found_again
+from axijax.mechanics.state import State
+from axijax.specimen.specimen import Specimen
+
+
+def rebuilt(cut: Specimen, lists: tuple[Network, Membrane], state: State, largest_overlap: float = 0.5):
+    """Contact list and membrane built again from the current positions, and the state that goes with them (host).
+
+    Every ball keeps its number and its image. The arrays keep their shapes where they are large enough, or else are
+    made with room to spare.
+    """
+    network, membrane = lists
+    sector = network.sector
+    now = specimen_now(cut, network, membrane, state)
+    now = replace(now, membrane_zone=zone_found_again(now, sector))
+    skin, dtype = float(network.skin), network.dtype
+    new = _list_in(network.slot.shape[0], network.first.size, now, sector, skin, largest_overlap, dtype)
+    surface = _membrane_in(membrane.corner.shape[1], membrane.zone.size, now, sector, dtype)
+    still = zeros(network.radius.shape, network.dtype)
+    new = replace(new, grid=network.grid)
+    return (new, surface), state._replace(displacement=still, memory=carry_memory(network, new, state.memory))
+
+
+def specimen_now(cut: Specimen, network: Network, membrane: Membrane, state: State) -> Specimen:
+    """A test's balls, platens and membrane zone as they are in a state (host)."""
+    bottom, top = (float(height) for height in state.platens)
+    zone = np.isin(np.arange(len(cut)), np.asarray(membrane.zone))
+    place = np.asarray(positions(network, state))
+    return replace(cut, positions=place, bottom=bottom, top=top, membrane_zone=zone)
+
+
+def roomy_lists(
+    specimen: Specimen, sector: Sector, dtype=np.float64, largest_overlap: float = 0.05
+) -> tuple[Network, Membrane]:
+    """Contact list and membrane with room for what a random packing will become (host).
+
+    Rooms are those of a usual dense packing where these are enough, so that specimens of a kind, loose and dense, share
+    one shape, and one compiled program.
+    """
+    count = len(specimen)
+    outer = int(5 * (count * sector.order) ** (2 / 3) / sector.order) + 8
+    return (
+        _list_in(18, 64 * -(-count // 10), specimen, sector, None, largest_overlap, dtype),
+        _membrane_in(3 * outer + 80, outer, specimen, sector, dtype),
+    )
+
+
+def _list_in(width: int, contacts: int, specimen: Specimen, sector: Sector, skin, largest_overlap, dtype) -> Network:
+    """Contact list of this shape where it fits, or else of one with room to spare."""
+    try:
+        return build_network(specimen, sector, skin, width, contacts, largest_overlap, dtype)
+    except ValueError:  # what else may be wrong is wrong again here
+        exact = build_network(specimen, sector, skin, largest_overlap=largest_overlap, dtype=dtype)
+        rooms = _room(exact.slot.shape[0], width, 1), _room(exact.first.size, contacts, 64)
+        return build_network(specimen, sector, skin, *rooms, largest_overlap, dtype)
+
+
+def _membrane_in(triangles: int, balls: int, specimen: Specimen, sector: Sector, dtype) -> Membrane:
+    """Membrane of this shape where it fits, or else of one with room to spare."""
+    try:
+        return build_membrane(specimen, sector, triangles, dtype, balls)
+    except ValueError:
+        exact = build_membrane(specimen, sector, dtype=dtype)
+        rooms = _room(exact.corner.shape[1], triangles, 32), _room(exact.zone.size, balls, 16)
+        return build_membrane(specimen, sector, rooms[0], dtype, rooms[1])
+
+
+def _room(needed: int, room: int, step: int) -> int:
+    """The room there is where it is enough, or else a fifth more than is needed, a multiple of `step`."""
+    return room if needed <= room else -(-int(1.2 * needed) // step) * step

@@ -1,0 +1,1 @@
+"""Specimens: lattices, gradings, and what a packing looks like inside."""

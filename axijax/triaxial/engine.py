@@ -1,0 +1,261 @@
+"""The engine: steps a stage of a test along its path and observes it. Pure functions for jit; one loop of either kind.
+
+`march` takes a fixed number of records in a scan, for jvp, vmap and reverse mode. `march_until` goes on while its path
+does, and stops where a list is worn so that it can be rebuilt on the host.
+"""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from axijax.core.sector import radial_distance
+from axijax.core.status import ESCAPED, NOT_FINITE, STALE_CELLS, STALE_LIST
+from axijax.mechanics.contact_list import Network, closing
+from axijax.mechanics.contact_search import renew
+from axijax.mechanics.dynamics import Scene, make_step, positions
+from axijax.mechanics.membrane import Load, Membrane, membrane_load
+from axijax.mechanics.observe import Observation, observe
+from axijax.mechanics.params import Params
+from axijax.mechanics.state import State
+from axijax.triaxial.paths import Path
+
+STALE = 1e-2  # largest share of the strip's area that may be counted to the wrong cell
+WORN, WORN_CELLS = 0.6, 0.05  # shares of the skin, and of STALE, at which the lists need a rebuild
+STRIDE = 10  # steps between looks at how far the balls have moved
+# A ball farther out than this many times the mean of the membrane's has left it. A small specimen that barrels at 13 %
+# strain has sound balls at 1.5.
+OUTSIDE = 2.0
+
+Lists = tuple[Network, Membrane]
+
+
+def march(
+    scene: Scene,
+    path: Path,
+    records: int,
+    record_every: int,
+    rebuild_every: int,
+    lists: Lists,
+    dt,
+    params: Params,
+    state: State,
+    fixed: Load | None,
+) -> tuple[State, Observation, jax.Array]:
+    """So many records, each followed by `record_every` steps: the last state, the observations and status bits (T,).
+
+    rebuild_every: renew contact list and membrane each time after so many records; zero keeps them.
+    fixed: the lateral load where it does not follow the membrane's cells.
+    """
+    if not rebuild_every:
+        # Reverse mode keeps the state before each record and takes its steps again on the way back.
+        block = jax.checkpoint(_block(scene, path, record_every, lists, dt, params, state, fixed), prevent_cse=False)
+        state, (seen, status) = jax.lax.scan(block, state, None, length=records)
+        return state, seen, status
+
+    def stretch(carry, _):
+        lists, state = carry
+        state, seen, status = march(scene, path, rebuild_every, record_every, 0, lists, dt, params, state, fixed)
+        *lists, state = renew(*lists, state)
+        return (tuple(lists), state), (seen, status | lists[0].status)
+
+    (_, state), kept = jax.lax.scan(stretch, (lists, state), None, length=-(-records // rebuild_every))
+    seen, status = jax.tree.map(lambda values: values.reshape(-1, *values.shape[2:])[:records], kept)
+    return state, seen, status
+
+
+def _block(scene: Scene, path: Path, record_every: int, lists: Lists, dt, params: Params, start: State, fixed):
+    """A scan's body: observes a state, and takes it `record_every` steps further."""
+    network, membrane = lists
+    step, look = _step_and_look(scene, path, lists, dt, params, start)
+
+    def block(state, _):
+        load = current_load(membrane, network, state, fixed)
+        seen = look(state, load)
+        return jax.lax.scan(lambda s, _: (step(load, s), None), state, None, length=record_every)[0], seen
+
+    return block
+
+
+class Stretch(NamedTuple):
+    """What `march_until` has reached.
+
+    state: the last. seen: observations, in arrays with places for all records that may be; None where none are kept.
+    records: how many there are.
+    due: steps until the next one. steps: taken since the stage began. watched: of the last observation, by the path.
+    status: bits of all states that were looked at, the last one included. worn: whether a list needs a rebuild.
+    """
+
+    state: State
+    seen: Observation | None
+    records: jax.Array
+    due: jax.Array
+    steps: jax.Array
+    watched: Any
+    status: jax.Array
+    worn: jax.Array
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2, 3, 4))
+def march_until(
+    scene: Scene,
+    records: int | None,
+    record_every: int,
+    until_worn: bool,
+    every_step: bool,
+    path: Path,
+    lists: Lists,
+    dt,
+    params: Params,
+    state: State,
+    fixed: Load | None,
+    due,
+    steps,
+    fresh,
+) -> Stretch:
+    """A stage from a state as long as its path goes on, with a record whenever one is due.
+
+    records: stop after so many; None for no such end, and none are kept.
+    until_worn: stop as well where a list is worn, in the middle of a record's steps if need be.
+    every_step: look at every step how far the balls have moved, see `until_balls_moved`.
+    due: steps until the next record is due, zero for now. steps: taken before. fresh: the lists were just rebuilt, so
+        that it goes on at least a little whatever they look like.
+    """
+    network, membrane = lists
+    step, look = _step_and_look(scene, path, lists, dt, params, state)
+
+    def going(carry):
+        now, _ = carry
+        on = path.going(now.watched, now.steps) | (now.due == 0)
+        if records is not None:
+            on &= now.records < records
+        return on & (at_start(now) & fresh | (now.due == 0) | ~now.worn) if until_worn else on
+
+    def at_start(now):
+        return now.steps == steps
+
+    def further(carry):
+        now, load = carry
+        if until_worn:
+            state, taken = until_balls_moved(lambda s: step(load, s), network, dt, now.due, now.state, every_step)
+        else:
+            state = jax.lax.fori_loop(0, now.due, lambda _, s: step(load, s), now.state)
+            taken = now.due
+        load = current_load(membrane, network, state, fixed)
+        found, status = look(state, load)
+        due = now.due - taken
+        seen = now.seen
+        if records is not None:
+            place = jnp.where(due == 0, now.records, records)  # beyond the end: not written
+            seen = jax.tree.map(lambda values, value: values.at[place].set(value, mode="drop"), seen, found)
+        watched = jax.tree.map(
+            lambda old, new: jnp.where(due == 0, new, old), now.watched, path.watch(found, network.dtype)
+        )
+        return Stretch(
+            state=state,
+            seen=seen,
+            records=now.records + (due == 0),
+            due=jnp.where(due == 0, record_every, due),
+            steps=now.steps + taken,
+            watched=watched,
+            status=now.status | status,
+            worn=wear(network, state, load) > 1,
+        ), load
+
+    load = current_load(membrane, network, state, fixed)
+    shape, _ = jax.eval_shape(look, state, load)
+    empty = None
+    if records is not None:
+        empty = jax.tree.map(lambda value: jnp.zeros((records, *value.shape), value.dtype), shape)
+    unseen = jax.tree.map(lambda value: jnp.full(value.shape, jnp.inf, value.dtype), shape)
+    nothing = jnp.zeros((), jnp.int32)
+    begun = Stretch(
+        state, empty, nothing, jnp.asarray(due, jnp.int32), jnp.asarray(steps, jnp.int32),
+        path.watch(unseen, network.dtype), nothing, wear(network, state, load) > 1,
+    )  # fmt: skip
+    return jax.lax.while_loop(going, further, (begun, load))[0]
+
+
+def _step_and_look(scene: Scene, path: Path, lists: Lists, dt, params: Params, start: State):
+    """A step of the stage, (load, state) -> state; and what is observed of a state and its load, with status bits."""
+    network, membrane = lists
+    scene, params = path.scene(scene), path.params(params, network, membrane, start.platens)
+    one = make_step(scene, path.platen_speeds)
+
+    def step(load: Load, state: State) -> State:
+        return one(params, network, load, dt, state)
+
+    def look(state: State, load: Load):
+        return observe(scene, params, network, membrane, load, dt, state), trouble(network, membrane, state, load)
+
+    return step, look
+
+
+def current_load(membrane: Membrane, network: Network, state: State, fixed: Load | None = None) -> Load:
+    """The load of the membrane at the current positions, or the one that is given."""
+    if fixed is not None:
+        return fixed
+    bottom, top = state.platens.astype(network.dtype)
+    return membrane_load(membrane, positions(network, state), bottom, top)
+
+
+def fixed_load(refresh: bool, given: Load | None, lists: Lists, start: State) -> Load | None:
+    """The load that does not change during a stage: one that was given, or the membrane's first where it is not
+    refreshed. None where the membrane's cells are followed."""
+    if given is None and not refresh:
+        network, membrane = lists
+        return replace(current_load(membrane, network, start), stale=0.0)
+    return given
+
+
+def wear(network: Network, state: State, load: Load) -> jax.Array:
+    """How far the lists have aged, contact list or membrane, as a share of where they need a rebuild."""
+    return jnp.maximum(_list_wear(network, state), load.stale / (WORN_CELLS * STALE))
+
+
+def _list_wear(network: Network, state: State) -> jax.Array:
+    return closing(network, state.displacement) / (WORN * network.skin)
+
+
+def until_balls_moved(step, network: Network, dt, most, state: State, every: bool = True) -> tuple[State, jax.Array]:
+    """A state after `most` steps, or fewer where the contact list is worn before; and how many it took, at least one.
+
+    It looks once a stride. every: it looks at every step whether a ball flies so fast (a small one that the membrane
+    drives into a pore) that the stride must end before the list is worn out; that costs 2 to 4 % of a step.
+    """
+
+    def going(carry):
+        state, taken = carry
+        return (taken < most) & ((taken == 0) | (_list_wear(network, state) <= 1))
+
+    def stride(carry):
+        state, taken = carry
+        end = jnp.minimum(taken + STRIDE, most)
+        if not every:
+            return jax.lax.fori_loop(taken, end, lambda _, s: step(s), state), end
+
+        def outlasts(carry):
+            """Whether the list holds for this step and the next, of which the next may be faster."""
+            state, steps = carry
+            soon = closing(network, state.displacement + state.velocity * (2 * dt)) <= network.skin
+            return (steps < end) & ((steps == taken) | soon)
+
+        return jax.lax.while_loop(outlasts, lambda carry: (step(carry[0]), carry[1] + 1), carry)
+
+    return jax.lax.while_loop(going, stride, (state, jnp.zeros((), jnp.int32)))
+
+
+def trouble(network: Network, membrane: Membrane, state: State, load: Load) -> jax.Array:
+    """Status bits of one state."""
+    place = positions(network, state)
+    rho = radial_distance(place)
+    zone = membrane.share > 0
+    mean_rho = jnp.where(zone, rho[membrane.zone], 0.0).sum() / zone.sum()
+    finite = jnp.stack([jnp.isfinite(part).all() for part in (*state.displacement, *state.velocity)]).all()
+    bits = jnp.where(finite, 0, NOT_FINITE)
+    bits |= jnp.where(closing(network, state.displacement) > network.skin, STALE_LIST, 0)
+    bits |= jnp.where(load.stale > STALE, STALE_CELLS, 0)
+    inside = (place.z > state.platens[0]) & (place.z < state.platens[1]) & (rho < OUTSIDE * mean_rho)
+    return bits | jnp.where(inside.all(), 0, ESCAPED)

@@ -1,0 +1,137 @@
+"""Paths: how a stage of a test moves the platens, and when it is done.
+
+A path is a pytree of its own numbers. From outside the package: subclass `Path`, register it as a dataclass, and put it
+into a prepared test (`axijax.triaxial.prepare.Prepared.shear`) or give it to `axijax.triaxial.engine`: `march_until` asks it when it is
+done, `march` makes as many records as it is told to.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from axijax.core.tree import pytree
+from axijax.mechanics.contact_list import Network
+from axijax.mechanics.damping import BackgroundDamping
+from axijax.mechanics.dynamics import Scene
+from axijax.mechanics.membrane import Membrane
+from axijax.mechanics.observe import Observation
+from axijax.mechanics.params import Params
+from axijax.mechanics.state import State
+
+
+class Path:
+    """What a path is to the engine; this one keeps the platens where they are and goes on for ever."""
+
+    def scene(self, scene: Scene) -> Scene:
+        """What is modelled during the stage, of a test's scene."""
+        return scene
+
+    def params(self, params: Params, network: Network, membrane: Membrane, platens: jax.Array) -> Params:
+        """The parameters during the stage, of the test's; platens: (2,) heights when the lists were built [L]."""
+        return params
+
+    def platen_speeds(self, params: Params, network: Network, dt, state: State, push, section) -> jax.Array:
+        """(2,) velocities of the platens at t + dt/2, upward positive [L/T].
+
+        push: (2,) forces of the balls on bottom and top platen; section: area that the platens load, both at t.
+        """
+        return jnp.zeros_like(state.platen_speeds)
+
+    def watch(self, seen: Observation, dtype) -> Any:
+        """What of an observation decides whether it goes on; a pytree."""
+        return None
+
+    def going(self, watched: Any, steps: jax.Array) -> jax.Array | bool:
+        """Whether it goes on after so many steps. watched: of the last observation."""
+        return True
+
+
+class Balance(NamedTuple):
+    """Mean unbalanced force over mean contact force, and |s1 - s3|/s3 [-]."""
+
+    unbalanced_force: jax.Array
+    stress_error: jax.Array
+
+    @property
+    def worst(self) -> jax.Array:
+        """The larger of the two errors [-]."""
+        return jnp.maximum(self.unbalanced_force, self.stress_error)
+
+
+# A random packing has much softer modes than half a wave along the specimen; at a tenth of that wave's critical damping
+# it settles five to ten times sooner, equally dense.
+RANDOM_DAMPING = 0.1
+
+
+@pytree
+@dataclass(frozen=True)
+class Isotropic(Path):
+    """Membrane and both platens at the confining stress until forces balance.
+
+    friction: in confinement; None, the paper's, lets a packing become as dense as it can [-].
+    tolerance: unbalanced force and stress error that end it [-].
+    most_steps: after which it ends in any case.
+    inertia: (N,) by which the balls' true masses are multiplied, since balance knows no masses; None for true ones [-].
+    """
+
+    friction: jax.Array | float | None = None
+    tolerance: jax.Array | float = 1e-7
+    most_steps: jax.Array | int = 20_000
+    inertia: jax.Array | None = None
+
+    def scene(self, scene):
+        """Spins only where there is friction."""
+        return Scene(rotation=self.friction is not None)
+
+    def params(self, params, network, membrane, platens):
+        """Background damping; tangential springs only where there is friction."""
+        # In a lattice the slowest mode, half a wave along the specimen, is damped critically; others settle within it.
+        share = RANDOM_DAMPING if membrane.zone_rule == "exposure" else 1.0
+        height = (platens[1] - platens[0]).astype(network.dtype)
+        rate = share * 2 * jnp.pi * wave_speed(params, network) / height
+        heavier = {} if self.inertia is None else {"density": params.density * self.inertia}
+        return replace(params, damping=BackgroundDamping(rate), friction=self.friction, **heavier)
+
+    def platen_speeds(self, params, network, dt, state, push, section):
+        """Platens carried by s3: each has the mass of one layer of balls and is damped like them."""
+        layers = (network.positions.z.max() - network.positions.z.min()) / (2 * network.radius.mean()) + 1
+        cubes = network.weight * network.radius**3
+        if self.inertia is None:
+            mass = params.material.mass_per_cube * (cubes.sum() / layers)
+        else:
+            mass = (params.material.mass_per_cube * cubes / self.inertia).sum() / layers
+        load = params.confining_stress * section
+        half = 0.5 * dt * params.background_damping
+        inward = jnp.array([1.0, -1.0], push.dtype) * (load - push) / mass
+        return ((1 - half) * state.platen_speeds + dt * inward) / (1 + half)
+
+    def watch(self, seen, dtype):
+        return Balance(seen.unbalanced_force, jnp.abs(seen.stress_ratio - 1).astype(dtype))
+
+    def going(self, watched, steps):
+        return (watched.worst > self.tolerance) & (steps < self.most_steps)
+
+
+@pytree
+@dataclass(frozen=True)
+class Compression(Path):
+    """Both platens move inward at the platen speed, which is reached smoothly after `ramp_time` [T]: a sudden start
+    sends a wave of rho c v through the specimen."""
+
+    ramp_time: jax.Array | float
+
+    def platen_speeds(self, params, network, dt, state, push, section):
+        x = jnp.clip((state.time + dt) / self.ramp_time, 0.0, 1.0).astype(push.dtype)
+        return jnp.array([1.0, -1.0], push.dtype) * params.platen_speed * x * x * (3 - 2 * x)
+
+
+def wave_speed(params: Params, network: Network):
+    """P-wave speed of a close packing with stuck contacts, 2 r sqrt((kn + ks)/m) [L/T]; sets ramps and damping."""
+    radius = network.radius.mean()
+    mass = params.material.mass_per_cube * radius**3
+    normal, shear = params.material.confined_stiffness(network, params.confining_stress)
+    return 2 * radius * ((normal + shear) / mass) ** 0.5
+
+

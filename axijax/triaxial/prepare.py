@@ -1,0 +1,136 @@
+"""What a test needs before it can run: contact list, membrane, time step and numbers of steps. As pytrees of arrays."""
+
+import warnings
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from axijax.mechanics.contact_list import Network, build_network
+from axijax.mechanics.contact_search import grid_for
+from axijax.mechanics.dynamics import Scene
+from axijax.mechanics.membrane import Load, Membrane, build_membrane, check_load
+from axijax.mechanics.params import Params, check_params
+from axijax.mechanics.rebuild import roomy_lists
+from axijax.mechanics.time_step import DEFAULT_STEP, check_step, critical_time_step
+from axijax.triaxial.feasible import pressed_in
+from axijax.triaxial.paths import Compression, Isotropic, wave_speed
+
+if TYPE_CHECKING:
+    from axijax.triaxial.test import TriaxialTest
+
+MOST_STEPS = 2**31 - 1  # steps are counted in 32 bits; so many take days
+
+
+@dataclass(frozen=True)
+class Numerics:
+    """The numbers of a test that are not physics and shape what is compiled; static.
+
+    records, record_every: the shear makes so many records and takes so many steps after each.
+    refresh: find the membrane's cells again with every record; otherwise they keep their first areas.
+    rebuild_every: renew the lists inside jit each time after so many records; zero keeps them.
+    """
+
+    records: int
+    record_every: int = 50
+    refresh: bool = True
+    rebuild_every: int = 0
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Prepared:
+    """A test ready to be simulated, a pytree: tests of one structure and one shape share a compiled program.
+
+    platens: (2,) heights of the bottom and the top platen before confinement [L].
+    time_step: of a step [T]. confinement, shear: the two stages' paths; `dataclasses.replace` puts in one of your own.
+    lateral_load: a constant load in place of the membrane's, or None.
+    scene, numerics: static.
+    """
+
+    network: Network
+    membrane: Membrane
+    platens: jax.Array
+    time_step: jax.Array | float
+    confinement: Isotropic
+    shear: Compression | Any  # or any other path
+    lateral_load: Load | None
+    scene: Scene = field(metadata={"static": True})
+    numerics: Numerics = field(metadata={"static": True})
+
+    @property
+    def lists(self) -> tuple[Network, Membrane]:
+        return self.network, self.membrane
+
+
+def warn_of_slipping(params: Params, confining_friction: float) -> None:
+    """Warn of a shear that begins with less friction than the specimen was confined with."""
+    friction = params.material.friction
+    least = 0.0 if friction is None else float(np.min(np.asarray(friction)))
+    if least < confining_friction:
+        warnings.warn(
+            f"friction {least:g} is below the confining_friction {confining_friction:g}: the contacts that hold the "
+            "confined specimen slip as soon as the shear begins, and the stress ratio may fall below 1; lower "
+            "confining_friction, and for a random specimen compaction_friction, to at most the friction.",
+            stacklevel=4,
+        )
+
+
+def prepare(test: "TriaxialTest") -> Prepared:
+    """Contact list, membrane, time step and paths of a test (host).
+
+    Raises ValueError for specimens, parameters and steps that make no sense together.
+    """
+    cut, sector, params = test.cut, test.sector, test.params
+    check_params(params, len(cut))
+    warn_of_slipping(params, test.confining_friction)
+    for term in params.terms:
+        term.check(sector)
+    if cut.zone_rule == "exposure" or test.rebuild_every:
+        # A random specimen was made under stress, which presses soft balls into one another.
+        soft = cut.zone_rule == "exposure"
+        overlap = max(0.05, 6 * pressed_in(cut.radius, params)) if soft else 0.05
+        network, membrane = roomy_lists(cut, sector, test.dtype, overlap)
+        if test.rebuild_every:
+            network = replace(network, grid=grid_for(network))
+    else:
+        network = build_network(cut, sector, dtype=test.dtype)
+        membrane = build_membrane(cut, sector, dtype=test.dtype)
+    step = test.time_step
+    if step is None or not test.allow_unsafe_step:
+        limit = critical_time_step(test.scene, params, network)
+        step = DEFAULT_STEP * limit if step is None else step
+        check_step(step, limit)
+    ramp = 8 * cut.height / wave_speed(params, network)
+    speed = float(params.platen_speed)
+    duration = test.axial_strain * cut.height / (2 * speed) + ramp / 2
+    if not duration / step <= MOST_STEPS:
+        raise ValueError(
+            f"axial_strain = {test.axial_strain:g} takes {duration / step:.2g} steps of {step:.3g} at platen_speed = "
+            f"{speed:g}: at most {MOST_STEPS:.2g} can be counted; raise platen_speed or stop at a smaller strain."
+        )
+    if test.lateral_load is not None:
+        check_load(test.lateral_load, cut)
+    return Prepared(
+        network=network,
+        membrane=membrane,
+        platens=jnp.asarray([cut.bottom, cut.top]),
+        time_step=float(step),
+        confinement=Isotropic(
+            float(test.confining_friction) if test.confining_friction > 0 else None, test.tolerance, test.confine_steps
+        ),
+        shear=Compression(float(ramp)),
+        # What is constant does not age.
+        lateral_load=None if test.lateral_load is None else replace(test.lateral_load, stale=0.0),
+        scene=test.scene,
+        numerics=Numerics(
+            records=int(np.ceil(duration / step / test.record_every)) + 1,  # one at the start and one at the end
+            record_every=test.record_every,
+            refresh=test.refresh,
+            rebuild_every=test.rebuild_every,
+        ),
+    )
+
+

@@ -1,0 +1,174 @@
+"""The record of a test, and what is said of one that went wrong."""
+
+import warnings
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from axijax.core.status import UNSTABLE, described
+from axijax.mechanics.observe import Observation
+
+CHATTER = 1e-3  # `observe.chatter` of a sound run is below zero; above this, contacts chatter
+
+
+class SimulationError(RuntimeError):
+    """A run that went wrong; says what happened and what to do. `curve` holds what was computed."""
+
+    def __init__(self, message: str, curve: "Curve | None"):
+        super().__init__(message)
+        self.curve = curve
+
+
+class Confinement(NamedTuple):
+    """How confinement ended: mean unbalanced force over mean contact force, |s1 - s3|/s3, steps taken."""
+
+    unbalanced_force: jax.Array
+    stress_error: jax.Array
+    steps: jax.Array
+
+    @property
+    def worst(self) -> jax.Array:
+        """The larger of the two errors [-]."""
+        return jnp.maximum(self.unbalanced_force, self.stress_error)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Curve:
+    """The record of a test: fields of T values, compression positive. Stress ratios as in `observe.Observation`.
+
+    axial_strain: shortening over the height at the end of confinement [-].
+    volumetric_strain: loss of volume over the volume at the end of confinement [-]; what the volume is, see
+        `axijax.mechanics.volume`.
+    void_ratio: counted below the skin, as there [-].
+    confinement: what was observed at the end of confinement; stress_error there is |s1 - s3| / s3.
+    status: bits, zero for a sound run (see `raise_for_status`).
+    """
+
+    axial_strain: jax.Array
+    stress_ratio: jax.Array
+    virial_ratio: jax.Array
+    core_ratio: jax.Array
+    volumetric_strain: jax.Array
+    void_ratio: jax.Array
+    coordination_number: jax.Array
+    unbalanced_force: jax.Array
+    sliding_fraction: jax.Array
+    chatter: jax.Array
+    membrane_radius: jax.Array
+    confinement: Confinement
+    status: jax.Array
+
+
+# The fields of a curve that hold one value a record.
+RECORDS = tuple(f.name for f in fields(Curve) if f.name not in ("confinement", "status"))
+
+
+class Peak(NamedTuple):
+    """The largest stress ratio of a curve, and whether it is a peak; made by `find_peak`.
+
+    record: its place. axial_strain, stress_ratio: there [-].
+    doubt: why it is no peak, in words; empty where it is one.
+    """
+
+    record: int
+    axial_strain: float
+    stress_ratio: float
+    doubt: str
+
+    @property
+    def reached(self) -> bool:
+        """Whether it is a peak."""
+        return not self.doubt
+
+    @property
+    def short(self) -> str:
+        """The value, and why it is no peak."""
+        if self.reached:
+            return f"peak {self.stress_ratio:.4f}"
+        return f"largest so far {self.stress_ratio:.4f} ({self.doubt})"
+
+    def __str__(self) -> str:
+        name = "peak stress ratio" if self.reached else "largest stress ratio so far"
+        told = f"{name} {self.stress_ratio:.4f} at {100 * self.axial_strain:.3f} % axial strain"
+        return told if self.reached else f"{told}, {self.doubt}"
+
+
+# What follows a maximum decides whether it is a peak: this share of the strain without exceeding it, or a fall by this
+# share of R - 1 that is also this many times the scatter of single records.
+PEAK_STRAIN, PEAK_FALL, PEAK_SCATTER = 0.1, 0.01, 4.0
+
+
+def find_peak(axial_strain, stress_ratio) -> Peak:
+    """The largest stress ratio of a curve, simulated or measured, and whether it is a peak (T values each).
+
+    It is one where the last tenth of the strain lies behind it, or where the curve has fallen from it by more than a
+    hundredth of R - 1 and than it scatters from record to record. The last record never is, nor are the last few of a
+    noisy curve that rises: all that is known then is that a peak, if there is one, is higher.
+    """
+    strain, ratio = np.asarray(axial_strain, float), np.asarray(stress_ratio, float)
+    sound = np.flatnonzero(np.isfinite(strain) & np.isfinite(ratio))  # a run that failed may end in NaN
+    if not sound.size:
+        return Peak(0, float("nan"), float("nan"), "no record is a number")
+    strain, ratio = strain[sound], ratio[sound]
+    top = int(ratio.argmax())
+    after = ratio[top + 1 :]
+    doubt = ""
+    if not after.size:
+        doubt = "at the last record: the curve still rises, no peak"
+    elif top == 0:
+        doubt = "at the first record: the curve never rises above its start, no peak"
+    elif strain[-1] - strain[top] < PEAK_STRAIN * (strain[-1] - strain[0]):
+        # Of values with independent scatter s the second differences have sqrt(6) s, and 1.65 s as median size.
+        scatter = float(np.median(np.abs(np.diff(ratio, 2)))) / 1.65
+        if ratio[top] - after[-3:].mean() < max(PEAK_FALL * (ratio[top] - 1), PEAK_SCATTER * scatter):
+            records = "one record" if after.size == 1 else f"{after.size} records"
+            doubt = f"{records} before the last: the curve has not clearly fallen since, no peak"
+    return Peak(int(sound[top]), float(strain[top]), float(ratio[top]), doubt)
+
+
+def raise_for_status(status, curve: Curve | None = None) -> None:
+    """Raise SimulationError, naming what went wrong and what to do, unless a curve's status bits are all zero."""
+    bits = int(np.bitwise_or.reduce(np.asarray(status).ravel()))
+    if bits:
+        raise SimulationError(f"the test went wrong: {described(bits)}.", curve)
+
+
+def no_records() -> Observation:
+    """An observation of no moment at all."""
+    empty: Any = np.zeros(0)
+    return Observation(*[empty] * len(Observation._fields))
+
+
+def warn_of_chatter(curve: Curve) -> None:
+    """Warn of chatter that has died out by the peak: the peak is right, the curve before it is not."""
+    strain = curve.axial_strain[curve.chatter > CHATTER]
+    if strain.size:
+        warnings.warn(
+            f"contacts chattered between {100 * strain.min():.3g} and {100 * strain.max():.3g} % axial strain, though "
+            "not at the peak: the curve is inexact there; lower time_step.",
+            stacklevel=3,
+        )
+
+
+def make_curve(seen: Observation, balance: Confinement, status=0) -> Curve:
+    """A curve from T observations, strains counted from the first."""
+    status = status | jnp.where(seen.chatter[jnp.argmax(seen.stress_ratio)] > CHATTER, UNSTABLE, 0)
+    return Curve(
+        axial_strain=1 - seen.height / seen.height[0],
+        stress_ratio=seen.stress_ratio,
+        virial_ratio=seen.virial_ratio,
+        core_ratio=seen.core_ratio,
+        volumetric_strain=1 - seen.volume / seen.volume[0],
+        void_ratio=seen.void_ratio,
+        coordination_number=seen.coordination_number,
+        unbalanced_force=seen.unbalanced_force,
+        sliding_fraction=seen.sliding_fraction,
+        chatter=seen.chatter,
+        membrane_radius=seen.membrane_radius,
+        confinement=balance,
+        status=status,
+    )

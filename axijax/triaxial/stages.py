@@ -1,0 +1,107 @@
+"""The two stages of a test, confinement and shear, as functions of what is prepared and of the parameters."""
+
+import jax
+import jax.numpy as jnp
+
+from axijax.core.quantity import senseless
+from axijax.core.status import NOT_CONFINED, SENSELESS
+from axijax.mechanics.contact_list import closing
+from axijax.mechanics.dynamics import Scene, initial_state
+from axijax.mechanics.membrane import Load
+from axijax.mechanics.params import Params
+from axijax.mechanics.rebuild import rebuilt
+from axijax.mechanics.state import State
+from axijax.specimen.specimen import Specimen
+from axijax.triaxial.engine import Lists, Stretch, fixed_load, march, march_until
+from axijax.triaxial.paths import Isotropic
+from axijax.triaxial.prepare import Prepared
+from axijax.triaxial.records import Confinement, Curve, make_curve
+
+CONFINE_EVERY = 50  # steps between looks at the balance, and between refreshes of the membrane, in confinement
+
+
+def _ended(stretch: Stretch) -> tuple[State, Confinement]:
+    balance = stretch.watched
+    return stretch.state, Confinement(balance.unbalanced_force, balance.stress_error, stretch.steps)
+
+
+def confine(prepared: Prepared, params: Params) -> tuple[State, Confinement]:
+    """Confinement with one contact list throughout; pure."""
+    path, lists = prepared.confinement, prepared.lists
+    start = _at_rest(prepared.scene, path, lists, params, prepared.platens)
+    return _ended(
+        march_until(
+            prepared.scene, None, CONFINE_EVERY, False, False, path, lists, prepared.time_step, params, start,
+            prepared.lateral_load, CONFINE_EVERY, 0, True,
+        )
+    )  # fmt: skip
+
+
+def settle(
+    scene: Scene,
+    path: Isotropic,
+    cut: Specimen,
+    lists: Lists,
+    dt,
+    params: Params,
+    fixed: Load | None = None,
+) -> tuple[Lists, State, Confinement]:
+    """Confinement, from rest, with contact list and membrane rebuilt where they are worn (host loop).
+
+    Returns the last lists, the state and its balance, which may be outside the tolerance after path.most_steps. Raises
+    RuntimeError where a ball moves too fast for the lists.
+    """
+    state, steps = _at_rest(scene, path, lists, params, jnp.asarray([cut.bottom, cut.top])), 0
+    while True:
+        reached = march_until(
+            scene, None, CONFINE_EVERY, True, True, path, lists, dt, params, state, fixed, CONFINE_EVERY, steps, True
+        )
+        state, balance = _ended(reached)
+        network, _ = lists
+        if float(closing(network, state.displacement)) > float(network.skin):
+            stiffness, _ = params.material.confined_stiffness(network, params.confining_stress)
+            softness = float(params.confining_stress * network.radius.mean() / stiffness)
+            raise RuntimeError(
+                "confinement: two balls together moved by more than the skin of the contact list within a step or two, "
+                f"so a contact may be missing (softness s3 r/kn = {softness:.2g}): lower confining_stress, or raise "
+                "the stiffness of the balls."
+            )
+        if not path.going(reached.watched, reached.steps):
+            return lists, state, balance
+        lists, state = rebuilt(cut, lists, state)
+        steps = int(balance.steps)
+
+
+def _at_rest(scene: Scene, path: Isotropic, lists: Lists, params: Params, platens) -> State:
+    return initial_state(path.scene(scene), path.params(params, *lists, platens), lists[0], platens)
+
+
+def start_shear(scene: Scene, params: Params, lists: Lists, confined: State) -> State:
+    """The test's friction on, balls and platens from rest; the terms' memory of a confinement is kept where it had the
+    same, as springs of a frictional one, or else starts from nothing."""
+    rest = initial_state(scene, params, lists[0], confined.platens)
+    memory = tuple(
+        kept if jax.tree.structure(kept) == jax.tree.structure(new) else new  # type: ignore[operator]
+        for kept, new in zip(confined.memory, rest.memory, strict=True)
+    )
+    return rest._replace(displacement=confined.displacement, memory=memory)
+
+
+@jax.jit
+def simulate(prepared: Prepared, params: Params) -> Curve:
+    """The curve of a test, a pure function of its lists and parameters: confinement and shear.
+
+    One contact list serves it all, but for `rebuild_every`. Tests of one shape share the compiled program.
+    """
+    numerics, lists, dt = prepared.numerics, prepared.lists, prepared.time_step
+    confined, balance = confine(prepared, params)
+    start = start_shear(prepared.scene, params, lists, confined)
+    fixed = fixed_load(numerics.refresh, prepared.lateral_load, lists, start)
+    size = numerics.records, numerics.record_every, numerics.rebuild_every
+    _, seen, status = march(prepared.scene, prepared.shear, *size, lists, dt, params, start, fixed)
+    settled = balance.worst <= prepared.confinement.tolerance
+    status = jnp.bitwise_or.reduce(status) | jnp.where(settled, 0, NOT_CONFINED)
+    status |= jnp.where(senseless(params), SENSELESS, 0)
+    return make_curve(seen, balance, status)
+
+
