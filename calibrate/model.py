@@ -1,7 +1,7 @@
 """A simulator seen by a fit: coordinates in, a curve and its tangents out, every run counted and timed.
 
-The simulator is anything with `params` (as axijax.mechanics.dynamics.Params) and a pure `simulate(params)` that returns the
-fields axial_strain, stress_ratio and so on of `axijax.Curve` with a status; `TriaxialTest` is the real one.
+The simulator is anything with `params` (as axijax.mechanics.dynamics.Params) and a pure `simulate(params)` that returns
+the fields axial_strain, stress_ratio and so on of `axijax.Curve` with a status; `TriaxialTest` is the real one.
 """
 
 import threading

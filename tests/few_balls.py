@@ -14,7 +14,7 @@ import numpy as np
 from axijax import Hertz, Linear, Params, Scene, Sector, Specimen
 from axijax.core.quantity import quantity
 from axijax.core.vector import Vector, from_rows
-from axijax.mechanics.contact_list import Network, build_network
+from axijax.mechanics.contact_list import ContactList, build_contact_list
 from axijax.mechanics.dynamics import initial_state, make_step
 from axijax.mechanics.membrane import Load
 from axijax.mechanics.state import State
@@ -63,7 +63,7 @@ class Pull(Term):
 
 def few_balls(
     params: Params, positions, velocity, spin=None, radius=1.0, platens=FAR, **options
-) -> tuple[Network, State]:
+) -> tuple[ContactList, State]:
     """Contact list and first state of balls at positions (3, N) with velocities and spins (3, N), without a sector.
 
     params: of them only which parts are there matters, for what the state must hold.
@@ -72,7 +72,7 @@ def few_balls(
     count = positions.shape[1]
     specimen = Specimen(positions, np.broadcast_to(radius, (count,)), *platens, np.ones(count, bool))
     options.setdefault("skin", 1.0)
-    network = build_network(specimen, Sector(1), **options)
+    network = build_contact_list(specimen, Sector(1), **options)
     state = initial_state(SCENE, params, network, platens)
     state = state._replace(velocity=from_rows(np.asarray(velocity, float)))
     if state.spin is not None and spin is not None:
@@ -85,7 +85,7 @@ def constant_load(forces) -> Load:
     return Load(-jnp.asarray(forces, float), jnp.ones(()))
 
 
-def no_load(network: Network) -> Load:
+def no_load(network: ContactList) -> Load:
     return Load(jnp.zeros(network.radius.size), jnp.ones(()))
 
 
@@ -95,14 +95,14 @@ def still(params, network, dt, state, push, section):
 
 
 @jit
-def run(params: Params, network: Network, load: Load, dt, steps, state: State) -> State:
+def run(params: Params, network: ContactList, load: Load, dt, steps, state: State) -> State:
     """The state after so many steps."""
     step = make_step(SCENE, still)
     return jax.lax.fori_loop(0, steps, lambda _, s: step(params, network, load, dt, s), state)
 
 
 @partial(jit, static_argnums=5)
-def record(params: Params, network: Network, load: Load, dt, state: State, steps: int) -> State:
+def record(params: Params, network: ContactList, load: Load, dt, state: State, steps: int) -> State:
     """All states, the first one included; every array has the steps + 1 moments in front."""
     step = make_step(SCENE, still)
 

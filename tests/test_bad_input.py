@@ -9,7 +9,7 @@ import pytest
 from axijax import Dashpot, Hertz, LocalDamping, Params
 from axijax.core.sector import Sector
 from axijax.core.status import SENSELESS
-from axijax.mechanics.contact_list import build_network
+from axijax.mechanics.contact_list import build_contact_list
 from axijax.mechanics.membrane import Load, build_membrane
 from axijax.mechanics.time_step import critical_time_step
 from axijax.specimen.specimen import Specimen, cut_to_sector, fcc_cylinder, fcc_octagon
@@ -172,23 +172,26 @@ CASES = {
         ),
         ["membrane_zone", "axis"],
     ),
-    "overlap": (lambda: build_network(balls((3, 3, 0), (3, 3, 1)), Sector(4)), ["ball 0", "ball 1", "overlap by 1"]),
+    "overlap": (
+        lambda: build_contact_list(balls((3, 3, 0), (3, 3, 1)), Sector(4)),
+        ["ball 0", "ball 1", "overlap by 1"],
+    ),
     "overlap across a sector plane": (
-        lambda: build_network(balls(at_angle(5, 5), at_angle(85, 5)), Sector(4)),
+        lambda: build_contact_list(balls(at_angle(5, 5), at_angle(85, 5)), Sector(4)),
         ["overlap by 1.13", "image 3"],
     ),
     "overlap with its own image": (
-        lambda: build_network(balls((0.5, 0.5, 0)), Sector(2)),
+        lambda: build_contact_list(balls((0.5, 0.5, 0)), Sector(2)),
         ["overlap", "image 1 of ball 0"],
     ),
     "overlap in a test": (
         lambda: TriaxialTest(octagon_with(radius=21.5)),
         ["overlap by 0.14"],
     ),
-    "negative skin": (lambda: build_network(balls((3, 3, 0)), Sector(4), skin=-1.0), ["skin = -1.0"]),
-    "NaN skin": (lambda: build_network(balls((3, 3, 0)), Sector(4), skin=NAN), ["skin = nan"]),
-    "list too narrow": (lambda: build_network(OCTAGON, Sector(1), width=2), ["width = 2", "neighbours"]),
-    "list too short": (lambda: build_network(OCTAGON, Sector(1), contacts=5), ["length = 5", "needed"]),
+    "negative skin": (lambda: build_contact_list(balls((3, 3, 0)), Sector(4), skin=-1.0), ["skin = -1.0"]),
+    "NaN skin": (lambda: build_contact_list(balls((3, 3, 0)), Sector(4), skin=NAN), ["skin = nan"]),
+    "list too narrow": (lambda: build_contact_list(OCTAGON, Sector(1), width=2), ["width = 2", "neighbours"]),
+    "list too short": (lambda: build_contact_list(OCTAGON, Sector(1), contacts=5), ["length = 5", "needed"]),
     "too few triangles": (lambda: build_membrane(OCTAGON, Sector(1), triangles=5), ["triangles = 5"]),
     "not that symmetric": (lambda: cut_to_sector(OCTAGON, Sector(3)), ["order = 3", "not the same after a turn"]),
     "nothing between the planes": (lambda: cut_to_sector(OCTAGON, Sector(40, "rigid")), ["order = 40", "no ball"]),

@@ -309,7 +309,9 @@ CASES = {
     "resume with confining_friction changed": (
         on_a_copy(
             edited("case.toml", "\n# confining_friction =\n", "\nconfining_friction = 0.1\n"),
-            "resume", "--axial-strain", "0.02",
+            "resume",
+            "--axial-strain",
+            "0.02",
         ),
         ["confining_friction", "of another test"],
     ),

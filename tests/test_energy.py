@@ -12,7 +12,7 @@ from few_balls import PLANE, SCENE, Pull, constant_load, few_balls, jit, no_load
 from axijax import BackgroundDamping, Dashpot, LocalDamping, Params
 from axijax.core.sector import Sector
 from axijax.core.vector import from_rows
-from axijax.mechanics.contact_list import build_network
+from axijax.mechanics.contact_list import build_contact_list
 from axijax.mechanics.dynamics import initial_state, make_step
 from axijax.mechanics.energy import EnergyBalance, energy_balance, make_ledger_step, open_ledger
 from axijax.mechanics.membrane import Load
@@ -131,7 +131,7 @@ def pressed_octagon(sector):
 
 def lively(specimen, sector, params, seed=0):
     """Contact list and a state with random velocities and spins, the same for the turned copies of a ball."""
-    network = build_network(specimen, sector)
+    network = build_contact_list(specimen, sector)
     place = specimen.positions
     rho = np.hypot(*place[:2])
     # Any function of the position that is the same after a quarter turn.

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from axijax.core.sector import Sector
-from axijax.mechanics.contact_list import build_network
+from axijax.mechanics.contact_list import build_contact_list
 from axijax.mechanics.dynamics import Scene, initial_state, make_step
 from axijax.mechanics.energy import energy_balance, make_ledger_step, open_ledger
 from axijax.mechanics.gravity import Gravity
@@ -22,7 +22,7 @@ jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 def scene_of(gravity, heights=(1.0,), platens=(-1e6, 1e6), **named):
     place = np.array([[0.0] * len(heights), [0.0] * len(heights), heights], float)
     specimen = Specimen(place, np.ones(len(heights)), *platens, np.ones(len(heights), bool))
-    network = build_network(specimen, Sector(1), skin=1.0)
+    network = build_contact_list(specimen, Sector(1), skin=1.0)
     params = Params(normal_stiffness=1.0, shear_stiffness=0.8, density=3 / (4 * np.pi), terms=(gravity,), **named)
     load = Load(np.zeros((2, len(heights))), np.ones(()))
     return params, network, load, initial_state(Scene(), params, network, platens)

@@ -18,7 +18,7 @@ from test_lattices import block, stress_after, unstrained
 from axijax import Dashpot, Hertz, Params, Scene
 from axijax.core.sector import Sector
 from axijax.core.vector import Vector, from_rows, zeros
-from axijax.mechanics.contact_list import build_network
+from axijax.mechanics.contact_list import build_contact_list
 from axijax.mechanics.contacts import Geometry, contact_forces, elastic_force, frictional_law, frictionless_force
 from axijax.mechanics.dynamics import initial_state, make_step
 from axijax.mechanics.energy import energy_balance, make_ledger_step, open_ledger
@@ -73,7 +73,7 @@ def test_normal_impact_lasts_and_presses_as_the_closed_form_says(partner):
         moved = "z", 0
     elif partner == "plane":
         specimen = Specimen(np.array([[5.0], [1 + gap], [0.0]]), 1.0, -9.0, 9.0, np.ones(1, bool))
-        network = build_network(specimen, Sector(4, "rigid"))
+        network = build_contact_list(specimen, Sector(4, "rigid"))
         state = initial_state(SCENE, params, network, [-9.0, 9.0])
         state = state._replace(velocity=from_rows(np.array([[0.0], [-SPEED], [0.0]])))
         moved = "y", 0
@@ -419,7 +419,7 @@ def test_a_contact_across_a_sector_plane_is_the_same_as_in_the_full_cylinder():
         sector = Sector(order)
         cut = cut_to_sector(SMALL, sector)
         shrunk = 0.999 * (cut.positions - [[0], [0], [half]])
-        network = build_network(replace(cut, positions=shrunk, bottom=-0.999 * half, top=0.999 * half), sector)
+        network = build_contact_list(replace(cut, positions=shrunk, bottom=-0.999 * half, top=0.999 * half), sector)
         dt = 0.5 * critical_time_step(SCENE, params, network)
         state = initial_state(SCENE, params, network, np.array([-0.999, 0.999]) * half)
         swirl = np.asarray(network.free) * np.stack([-shrunk[1], shrunk[0], 20 * np.sin(shrunk[2])]) * 0.02
@@ -509,7 +509,7 @@ def test_the_step_itself_amplifies_just_above_the_limit_and_not_below(boundary, 
     place = cut.positions - [[0], [0], [half - 1]]
     # Little enough that the prism does not buckle: growth of a static kind goes with the root of the overlap.
     squeezed = replace(cut, positions=place, radius=cut.radius * (1 + 1e-6), bottom=-half, top=half)
-    network = build_network(squeezed, sector)
+    network = build_contact_list(squeezed, sector)
     params = Params(Hertz(damping=damping), friction=1e6, confining_stress=1e-6)
     state = initial_state(SCENE, params, network, [-half, half])
     step = make_step(SCENE, still)
@@ -540,7 +540,7 @@ def test_the_limit_is_that_of_the_loaded_specimen_and_unsafe_steps_are_refused(b
     final = blocked.run(params)
     place = final.positions
     bottom, top = (float(z) for z in final.state.platens)
-    network = build_network(replace(blocked.cut, positions=place, bottom=bottom, top=top), Sector(4))
+    network = build_contact_list(replace(blocked.cut, positions=place, bottom=bottom, top=top), Sector(4))
     actual = critical_time_step(blocked.scene, replace(params, confining_stress=1e-3), network)
     forecast = critical_time_step(blocked.scene, params, blocked.network)
     assert 0.7 * actual < forecast < actual
@@ -556,7 +556,7 @@ def test_the_limit_is_that_of_the_loaded_specimen_and_unsafe_steps_are_refused(b
 
 def test_the_mean_force_under_the_confining_stress_is_at_least_the_true_one():
     """FCC: N0 = sqrt2 s3 r^2; the cylinder around the balls is larger than the membrane's, at most by a half here."""
-    network = build_network(cut_to_sector(fcc_octagon(), Sector(4)), Sector(4))
+    network = build_contact_list(cut_to_sector(fcc_octagon(), Sector(4)), Sector(4))
     force = float(confined_force(network, Params().confining_stress))
     assert 1 < force / (2**0.5 * 5e4 * 400) < 2
     assert OVERLOAD >= 2 / (1 - 0.5)

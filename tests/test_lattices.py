@@ -17,7 +17,7 @@ from few_balls import SCENE, jit, no_load, run, unit_params
 from axijax import Scene
 from axijax.core.sector import Sector, radial_distance
 from axijax.core.vector import Vector, from_rows, zeros
-from axijax.mechanics.contact_list import Network, build_network
+from axijax.mechanics.contact_list import ContactList, build_contact_list
 from axijax.mechanics.contacts import Law, contact_forces, geometry
 from axijax.mechanics.dynamics import all_forces, initial_state, positions
 from axijax.mechanics.membrane import membrane_load
@@ -59,7 +59,7 @@ class Block(NamedTuple):
     """A piece of a lattice. inner: (C,) half the number of a contact's balls that have all their neighbours;
     volume: of those balls' cells [L^3]; centre: one of those balls."""
 
-    network: Network
+    network: ContactList
     inner: jax.Array
     volume: float
     centre: int
@@ -67,7 +67,7 @@ class Block(NamedTuple):
 
 def block(lattice, sector=None) -> Block:
     sector = sector or Sector(1)
-    network = build_network(cut_to_sector(specimen(lattice), sector), sector, skin=0.1)
+    network = build_contact_list(cut_to_sector(specimen(lattice), sector), sector, skin=0.1)
     ends = np.asarray(network.side) != 0
     whole = ends.sum(axis=0) == NEIGHBOURS[lattice]
     assert whole.sum() >= 1
@@ -113,7 +113,7 @@ def test_specimens_are_the_lattices_that_they_are_called():
         made = specimen(lattice, 9, 9.0)
         for order in orders:
             assert len(cut_to_sector(made, Sector(order))) < len(made) / order + 10
-        network = build_network(made, Sector(1), skin=0.05)
+        network = build_contact_list(made, Sector(1), skin=0.05)
         number = (np.asarray(network.side) != 0).sum(axis=0)
         inner = ~made.membrane_zone & (made.positions[2] > 2) & (made.positions[2] < made.top - 2)
         if lattice != "sc":
@@ -240,7 +240,7 @@ def test_standing_wave_on_a_chain_between_platens(mode):
     top = 2 * count - (count + 1) * squeeze
     shape = amplitude * np.sin(2 * q * np.arange(1, count + 1))
     made = Specimen(np.stack([0 * rest, 0 * rest, rest + shape]), 1.0, 0.0, top, np.ones(count, bool))
-    network = build_network(made, Sector(1))
+    network = build_contact_list(made, Sector(1))
     state = initial_state(SCENE, params, network, [0.0, top])
     before = shape * (1 - np.cos(omega * dt)) / dt
     state = state._replace(velocity=from_rows([0 * rest, 0 * rest, before]))

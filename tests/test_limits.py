@@ -181,14 +181,14 @@ def test_a_ball_squeezed_out_is_loaded_but_does_not_carry_the_radius_away():
 
 def test_float32_keeps_the_overlap_only_by_displacements():
     """At these coordinates float32 positions miss an overlap by 2e-3 of it, displacements by a hundredth of that."""
-    from axijax.mechanics.contact_list import build_network
+    from axijax.mechanics.contact_list import build_contact_list
     from axijax.mechanics.contacts import geometry
 
     cut = cut_to_sector(fcc_octagon(), Sector(4))
     rng = np.random.default_rng(5)
     moved = from_rows(0.02 * rng.standard_normal(cut.positions.shape))
-    exact = np.asarray(geometry(build_network(cut, Sector(4)), moved).overlap)
-    single = build_network(cut, Sector(4), dtype=np.float32)
+    exact = np.asarray(geometry(build_contact_list(cut, Sector(4)), moved).overlap)
+    single = build_contact_list(cut, Sector(4), dtype=np.float32)
     by_displacement = np.asarray(geometry(single, moved.map(lambda row: row.astype(np.float32))).overlap)
     listed = np.asarray(single.image) == 0
     ends = [np.asarray(index)[listed] for index in (single.first, single.second)]

@@ -14,7 +14,7 @@ from axijax import Hertz, Params, Scene, Sector, Specimen, TriaxialTest, fcc_oct
 from axijax.core.quantity import quantity
 from axijax.core.vector import Vector
 from axijax.mechanics.capped_spring import capped
-from axijax.mechanics.contact_list import build_network
+from axijax.mechanics.contact_list import build_contact_list
 from axijax.mechanics.linear import Linear
 from axijax.mechanics.linearised import linearised
 from axijax.mechanics.term import Push, Term
@@ -34,13 +34,15 @@ def brief():
     with pytest.MonkeyPatch.context() as patch:
         program = axijax.mechanics.linearised._response.__wrapped__
         level = {"xla_backend_optimization_level": 0}
-        patch.setattr(axijax.mechanics.linearised, "_response", jax.jit(program, static_argnums=0, compiler_options=level))
+        patch.setattr(
+            axijax.mechanics.linearised, "_response", jax.jit(program, static_argnums=0, compiler_options=level)
+        )
         yield
 
 
 @lru_cache
 def lattice(sector):
-    return build_network(cut_to_sector(fcc_octagon(RADIUS, 3, 3), sector), sector)
+    return build_contact_list(cut_to_sector(fcc_octagon(RADIUS, 3, 3), sector), sector)
 
 
 @lru_cache
@@ -52,7 +54,7 @@ def heap():
     radius = 0.4 * apart.min(1)  # no two overlap
     for ball in range(60):
         radius[ball] = (apart[ball] - radius).min()
-    return build_network(Specimen(place, radius, -100.0, 100.0, np.ones(60, bool)), FULL)
+    return build_contact_list(Specimen(place, radius, -100.0, 100.0, np.ones(60, bool)), FULL)
 
 
 SCENES = {
@@ -126,7 +128,7 @@ class Tethers(Term):
 def lone_ball():
     """A ball far from everything, on which only terms act, and one near each platen."""
     place = np.array([[0.0, 0, 0], [0, 0, 0], [-100, 0, 100.0]])
-    return build_network(Specimen(place, 1.0, -101.0, 101.0, np.ones(3, bool)), FULL, skin=0.5)
+    return build_contact_list(Specimen(place, 1.0, -101.0, 101.0, np.ones(3, bool)), FULL, skin=0.5)
 
 
 @pytest.mark.parametrize("viscosity", [0.0, 0.6])

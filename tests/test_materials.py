@@ -12,7 +12,7 @@ from few_balls import SCENE, Pull, few_balls, hertz_params, no_load, record, run
 
 from axijax import BackgroundDamping, Dashpot, Hertz, Linear, LocalDamping, Params, Sector, Specimen
 from axijax.core.quantity import present, quantity
-from axijax.mechanics.contact_list import build_network
+from axijax.mechanics.contact_list import build_contact_list
 from axijax.mechanics.dynamics import all_forces, initial_state
 from axijax.mechanics.params import check_params
 from axijax.theory import impact_maximum_overlap
@@ -121,7 +121,7 @@ def test_trees_of_other_parts_are_other_trees():
 def test_a_state_remembers_only_what_a_part_needs(make, boundary, planes):
     """Contact springs and spins with friction, platen springs with platen friction; sector planes are smooth."""
     ball = Specimen(np.array([[5.0], [5.0], [0.0]]), 1.0, -9.0, 9.0, np.ones(1, bool))
-    network = build_network(ball, Sector(4, boundary), contacts=3)
+    network = build_contact_list(ball, Sector(4, boundary), contacts=3)
     for friction in (None, 0.3):
         for platens in (None, 0.3):
             params = make(friction=friction, platen_friction=platens)

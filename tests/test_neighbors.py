@@ -8,7 +8,7 @@ import pytest
 
 from axijax.core.sector import Sector
 from axijax.core.vector import Vector, from_rows
-from axijax.mechanics.contact_list import build_network, carry_memory, closing
+from axijax.mechanics.contact_list import build_contact_list, carry_memory, closing
 from axijax.mechanics.term import Memory
 from axijax.specimen.specimen import Specimen
 
@@ -67,7 +67,7 @@ def from_both_sides(contacts, on_axis, images):
 def test_list_holds_every_pair_of_images_within_reach_once(order):
     """Completed by (j, i, -k), the contacts are those of the search, and none comes up twice."""
     specimen, skin = random_balls(order, seed=0), 0.3
-    network = build_network(specimen, Sector(order), skin=skin, largest_overlap=ANY_OVERLAP)
+    network = build_contact_list(specimen, Sector(order), skin=skin, largest_overlap=ANY_OVERLAP)
     expected, found = every_pair(specimen, order, skin), listed(network)
     on_axis = (np.hypot(*specimen.positions[:2]) == 0) & (order > 1)
     both_sides = list(from_both_sides(found, on_axis, order))
@@ -86,7 +86,7 @@ def test_list_holds_every_pair_of_images_within_reach_once(order):
 @pytest.mark.parametrize("order", [3, 4, 7])
 def test_between_rigid_planes_a_ball_has_no_image(order):
     specimen, skin = random_balls(order, seed=1, on_axis=0), 0.3
-    network = build_network(specimen, Sector(order, "rigid"), skin=skin, largest_overlap=ANY_OVERLAP)
+    network = build_contact_list(specimen, Sector(order, "rigid"), skin=skin, largest_overlap=ANY_OVERLAP)
     assert set(from_both_sides(listed(network), np.zeros(25, bool), 1)) == set(every_pair(specimen, 1, skin))
 
 
@@ -96,7 +96,7 @@ def test_each_contact_acts_on_both_its_balls(order):
     seen from the other side, as a force does, and for one that does not, as a moment."""
     specimen, skin = random_balls(order, seed=2), 0.3
     # One shape for all orders, so that nothing is compiled again.
-    network = build_network(specimen, Sector(order), skin, width=250, contacts=2600, largest_overlap=ANY_OVERLAP)
+    network = build_contact_list(specimen, Sector(order), skin, width=250, contacts=2600, largest_overlap=ANY_OVERLAP)
     pairs = every_pair(specimen, order, skin)
 
     def expected(vector):
@@ -118,7 +118,7 @@ def test_each_contact_acts_on_both_its_balls(order):
 def test_shares_count_every_contact_of_the_full_cylinder_once(order):
     """The shares add up to 1/n of the contacts among all n copies of the balls."""
     specimen, skin = random_balls(order, seed=6), 0.3
-    network = build_network(specimen, Sector(order), skin=skin, largest_overlap=ANY_OVERLAP)
+    network = build_contact_list(specimen, Sector(order), skin=skin, largest_overlap=ANY_OVERLAP)
     on_axis = np.hypot(*specimen.positions[:2]) == 0
     copies = [(i, k) for i in range(len(specimen)) for k in range(1 if on_axis[i] else order)]
     places = np.stack([turned(specimen.positions[:, i], 2 * np.pi * k / order) for i, k in copies], axis=1)
@@ -129,7 +129,7 @@ def test_shares_count_every_contact_of_the_full_cylinder_once(order):
 
 def test_balls_on_the_axis_are_held_on_it_and_shared_by_all_sectors():
     """They may move along z only, and count 1/n in sums over a sector."""
-    network = build_network(random_balls(5, seed=3), Sector(5), largest_overlap=ANY_OVERLAP)
+    network = build_contact_list(random_balls(5, seed=3), Sector(5), largest_overlap=ANY_OVERLAP)
     on_axis = np.arange(25) < 2
     np.testing.assert_array_equal(np.asarray(network.free), np.stack([~on_axis, ~on_axis, np.ones(25)]))
     np.testing.assert_allclose(network.weight, np.where(on_axis, 0.2, 1.0))
@@ -145,8 +145,8 @@ def test_springs_stay_with_their_contacts_through_a_rebuild(order):
     moves = 0.1 * rng.normal(size=before.positions.shape)
     moves[:, :2] = 0.0  # on the axis
     after = replace(before, positions=np.clip(before.positions + moves, [[-9], [-9], [-3]], [[9], [9], [3]]))
-    old = build_network(before, sector, skin=skin, largest_overlap=ANY_OVERLAP)
-    new = build_network(after, sector, skin=skin, contacts=old.first.size + 40, largest_overlap=ANY_OVERLAP)
+    old = build_contact_list(before, sector, skin=skin, largest_overlap=ANY_OVERLAP)
+    new = build_contact_list(after, sector, skin=skin, contacts=old.first.size + 40, largest_overlap=ANY_OVERLAP)
     shuffle = rng.permutation(new.first.size)
     new = replace(new, first=new.first[shuffle], second=new.second[shuffle], image=new.image[shuffle])
     springs = rng.normal(size=(3, old.first.size))  # where no contact is, too: these must not go anywhere
@@ -165,9 +165,9 @@ def test_springs_stay_with_their_contacts_through_a_rebuild(order):
 def test_a_padded_list_holds_the_same_contacts():
     """More slots and contacts than are needed change its shape only."""
     specimen, sector = random_balls(4, seed=5), Sector(4)
-    tight = build_network(specimen, sector, largest_overlap=ANY_OVERLAP)
+    tight = build_contact_list(specimen, sector, largest_overlap=ANY_OVERLAP)
     width, contacts = tight.slot.shape[0] + 3, tight.first.size + 24
-    padded = build_network(specimen, sector, width=width, contacts=contacts, largest_overlap=ANY_OVERLAP)
+    padded = build_contact_list(specimen, sector, width=width, contacts=contacts, largest_overlap=ANY_OVERLAP)
     assert padded.slot.shape == (width, 25) and padded.first.shape == (contacts,)
     assert listed(padded) == listed(tight)
     sums = [np.asarray(network.sum_on_balls(network.branch, reaction=-1)) for network in (tight, padded)]
@@ -179,7 +179,7 @@ def test_no_contact_is_missed_while_the_balls_have_closed_by_less_than_the_skin(
     """Balls that move at random: whenever two touch that the list does not hold, `closing` is above the skin. And it is
     not simply always above: in some of the cases nothing is missed and `closing` says so."""
     specimen, skin = random_balls(order, seed=1), 1.0
-    network = build_network(specimen, Sector(order), skin=skin, largest_overlap=ANY_OVERLAP)
+    network = build_contact_list(specimen, Sector(order), skin=skin, largest_overlap=ANY_OVERLAP)
     on_axis = (np.hypot(*specimen.positions[:2]) == 0) & (order > 1)
     held = set(from_both_sides(listed(network), on_axis, order))
     rng, missed, sound, closed = np.random.default_rng(order), 0, 0, jax.jit(closing)
@@ -208,7 +208,7 @@ def test_what_two_balls_can_have_closed_by():
     specimen = Specimen(positions, np.full(4, 0.8), -1.0, 1.0, np.ones(4, bool))
     moves = np.zeros((3, 4))
     for order, own_image in ((1, 1), (4, 2 * 0.8 / 1.1)):
-        network = build_network(specimen, Sector(order), skin=0.5)
+        network = build_contact_list(specimen, Sector(order), skin=0.5)
         moves[:] = 0
         moves[:2, 0] = -0.1 * positions[:2, 0] / 1.2
         assert float(closing(network, from_rows(moves))) == pytest.approx(0.1 * own_image, rel=1e-12)
@@ -223,7 +223,7 @@ def test_a_ball_that_comes_slowly_near_the_axis_wears_the_list_on_the_way(order)
     skin = 0.8
     for share in (0.3, 0.5, 0.59, 0.9):  # of the skin, to where they touch
         place = np.array([[1 / np.sin(np.pi / order) + share * skin], [0.0], [0.0]])
-        network = build_network(Specimen(place, np.ones(1), -9.0, 9.0, np.ones(1, bool)), Sector(order), skin=skin)
+        network = build_contact_list(Specimen(place, np.ones(1), -9.0, 9.0, np.ones(1, bool)), Sector(order), skin=skin)
         ways = np.arange(0, place[0, 0], skin / 1000)[:1000, None]
         closed = np.asarray(jax.vmap(lambda way, to=network: closing(to, Vector(-way, 0 * way, 0 * way)))(ways))
         worn = np.flatnonzero(closed > 0.6 * skin)[0]

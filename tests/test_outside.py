@@ -14,7 +14,7 @@ import pytest
 
 from axijax import Params, Scene, Sector, Specimen, TriaxialTest, fcc_octagon
 from axijax.core.vector import from_rows
-from axijax.mechanics.contact_list import build_network, carry_memory
+from axijax.mechanics.contact_list import build_contact_list, carry_memory
 from axijax.mechanics.dynamics import initial_state, make_step
 from axijax.mechanics.energy import energy_balance, make_ledger_step, open_ledger
 from axijax.mechanics.membrane import Load
@@ -53,7 +53,7 @@ def pair(gap, speed, sideways=0.0):
     and the first state as a function of the parameters."""
     place = np.array([[-1 - gap / 2, 1 + gap / 2], [0, 0], [0, 0]])
     specimen = Specimen(place, 1.0, -1e6, 1e6, np.ones(2, bool))
-    network = build_network(specimen, Sector(1), skin=1.0)
+    network = build_contact_list(specimen, Sector(1), skin=1.0)
     velocity = from_rows(np.array([[speed / 2, -speed / 2], [sideways / 2, -sideways / 2], [0, 0]]))
 
     def start(params):
@@ -190,7 +190,7 @@ def test_a_broken_bond_stays_broken_in_a_new_list_and_a_new_contact_has_none():
     place = np.array([[0.0, 2, 4.05, 30], [0, 0, 0, 0], [0, 0, 0, 0]])
 
     def near(skin):
-        return build_network(Specimen(place, 1.0, -9.0, 9.0, np.ones(4, bool)), Sector(1), skin=skin)
+        return build_contact_list(Specimen(place, 1.0, -9.0, 9.0, np.ones(4, bool)), Sector(1), skin=skin)
 
     old, new = near(0.5), near(3.0)
     bonds = page.Bonds(1.0, 0.1).init(Params(), old)

@@ -11,7 +11,7 @@ import pytest
 from axijax import Hertz, Params, Scene
 from axijax.core.sector import Sector
 from axijax.core.vector import from_rows
-from axijax.mechanics.contact_list import build_network
+from axijax.mechanics.contact_list import build_contact_list
 from axijax.mechanics.contacts import geometry
 from axijax.mechanics.dynamics import all_forces, initial_state, positions
 from axijax.mechanics.membrane import build_membrane, lateral_force, membrane_load
@@ -129,7 +129,7 @@ def test_any_image_may_represent_a_ball():
     test = TriaxialTest(specimen, sector, tolerance=1e-3)
     params, results = Params(friction=0.3), []
     for balls in (cut, wandered):
-        network = build_network(balls, sector)
+        network = build_contact_list(balls, sector)
         membrane = build_membrane(balls, sector)
         state = initial_state(test.scene, params, network, [cut.bottom, cut.top])
         load = membrane_load(membrane, network.positions, cut.bottom, cut.top)
@@ -213,7 +213,7 @@ def test_no_ball_is_made_heavier_in_the_default_grading_and_small_ones_are_in_a_
 def test_a_ball_that_flies_does_not_outrun_the_contact_list():
     """Steps end before two balls can have met unseen, wherever the speed of one of them doubles with every step."""
     cut = cut_to_sector(made(4)[1], Sector(4))
-    network = build_network(cut, Sector(4))
+    network = build_contact_list(cut, Sector(4))
     state = initial_state(Scene(), Params(), network, [cut.bottom, cut.top])
     for speed in (0.01, 0.3, 0.7):  # skins a step
         outward = np.zeros((3, len(cut)))

@@ -17,7 +17,7 @@ import pytest
 from axijax import Params, Scene
 from axijax.core.sector import ON_AXIS, Sector, radial_distance
 from axijax.core.vector import from_rows
-from axijax.mechanics.contact_list import build_network, carry_memory
+from axijax.mechanics.contact_list import build_contact_list, carry_memory
 from axijax.mechanics.dynamics import all_forces, initial_state, make_step, positions
 from axijax.mechanics.membrane import Load
 from axijax.specimen.specimen import Specimen, cut_to_sector, fcc_octagon
@@ -88,7 +88,7 @@ def advance(steps, params, network, trap, state):
 
 def moved(specimen, sector, motion, steps, params=PARAMS, skin=2.0, trap_rate=TRAP_RATE, **options):
     """The motion after so many steps, with the contact list of the start."""
-    network = build_network(specimen, sector, skin=skin, **options)
+    network = build_contact_list(specimen, sector, skin=skin, **options)
     state = state_of(network, motion, (specimen.bottom, specimen.top))
     state = advance(steps, params, network, trap_rate**2 * jnp.asarray(specimen.radius) ** 3, state)
     assert 2 * np.abs(np.asarray(state.displacement)).max() < skin, "the list of the start no longer holds"
@@ -127,7 +127,7 @@ def test_the_sector_holds_its_share_of_every_ball(order):
     cut = cut_to_sector(octagon, sector)
     on_axis = np.hypot(*cut.positions[:2]) == 0
     assert np.where(on_axis, 1 / order, 1.0).sum() * order == pytest.approx(len(octagon))
-    network = build_network(cut, sector)
+    network = build_contact_list(cut, sector)
     np.testing.assert_allclose(network.weight, np.where(on_axis, 1 / order, 1.0), rtol=1e-15)
 
 
@@ -173,7 +173,7 @@ def orbit(sector, params, motion, first_turns, sliding=None):
     sliding: whether the contact must slide, or stick, after every block; None does not look.
     """
     platens = (0.0, PLATEN_GAP)
-    build = partial(build_network, sector=sector, skin=0.5)
+    build = partial(build_contact_list, sector=sector, skin=0.5)
     trap = TRAP_RATE**2 * jnp.ones(2)
     turns = np.array(first_turns)
     motion = turned(sector, motion, turns)
@@ -244,7 +244,7 @@ def test_pair_near_a_plane_feels_the_force_of_the_pair_turned_into_the_interior(
 
     def response(motion, first_turns, spring, expected_image):
         motion = turned(sector, motion, first_turns)
-        network = build_network(specimen_of(motion.positions), sector, skin=0.1)
+        network = build_contact_list(specimen_of(motion.positions), sector, skin=0.1)
         assert int(network.image[0]) == expected_image
         springs = np.zeros((3, network.first.size))
         springs[:, 0] = sector.rotate(spring, first_turns[0])
@@ -278,7 +278,7 @@ def test_rigid_swirl_makes_no_force(order, friction):
     Images that were mirrored would collide with the swirl. With friction nothing slips either.
     """
     sector, params = Sector(order), replace(PARAMS, friction=friction)
-    network = build_network(cut_to_sector(pressed_octagon(), sector), sector)
+    network = build_contact_list(cut_to_sector(pressed_octagon(), sector), sector)
     place = np.asarray(network.positions)
     rate, angle = 0.1, 0.02
     turn = rotation(angle)
@@ -328,7 +328,7 @@ def assert_moves_as_full_cylinder(specimen, sector, steps, seed=0, speed=0.01, *
 
 def contact_images(specimen, sector, i, j, **options):
     """The images of ball j that ball i, which is not on the axis, may touch; j = i for its own."""
-    network = build_network(specimen, sector, skin=0.0, **options)
+    network = build_contact_list(specimen, sector, skin=0.0, **options)
     listed = zip(*(np.asarray(a).tolist() for a in (network.first, network.second, network.image)), strict=True)
     images = set()
     for first, second, k in listed:
@@ -410,7 +410,7 @@ def test_any_choice_of_representatives_runs_identically(order):
     k = rng.integers(order, size=len(specimen))
     start_turned = turned(sector, start, k)
     other = replace(specimen, positions=start_turned.positions)
-    images = np.asarray(build_network(other, sector, skin=0.1).image)
+    images = np.asarray(build_contact_list(other, sector, skin=0.1).image)
     assert set(range(2, order - 1)) & set(images.tolist()), "images beyond the next ones must come up"
     assert_same(turned(sector, run(other, motion=start_turned), -k), expected)
 
@@ -424,7 +424,7 @@ def crowded(order, rng):
         size = rng.uniform(0.5, 1.0)
         trial = specimen_of(np.concatenate([positions, new], axis=1), np.append(radius, size))
         try:
-            build_network(trial, sector, largest_overlap=0.03)
+            build_contact_list(trial, sector, largest_overlap=0.03)
         except ValueError:
             continue
         positions, radius = trial.positions, trial.radius

@@ -16,7 +16,7 @@ from test_energy import balances, closing, spent
 from axijax import Dashpot, LocalDamping, Params, Sector, TriaxialTest, fcc_octagon
 from axijax.core.vector import from_rows
 from axijax.mechanics.capped_spring import capped
-from axijax.mechanics.contact_list import build_network
+from axijax.mechanics.contact_list import build_contact_list
 from axijax.mechanics.dynamics import all_forces, initial_state
 from axijax.specimen.specimen import Specimen
 from axijax.theory import (
@@ -364,7 +364,7 @@ def test_an_image_on_a_rough_platen_is_held_as_the_ball_itself():
 
     def forces(turns):
         turned = [sector.rotate(v, turns) for v in (place, velocity, spin)]
-        network = build_network(Specimen(turned[0], 1.0, 0.0, 1.98, np.ones(2, bool)), sector)
+        network = build_contact_list(Specimen(turned[0], 1.0, 0.0, 1.98, np.ones(2, bool)), sector)
         state = initial_state(SCENE, params, network, [0.0, 1.98])
         state = state._replace(velocity=from_rows(turned[1]), spin=from_rows(turned[2]))
         made = all_forces(SCENE, params, network, no_load(network), 0.05, state)

@@ -14,7 +14,7 @@ from axijax import Dashpot, LocalDamping, Params, Scene, theory
 from axijax.core.sector import Sector
 from axijax.core.status import UNSTABLE
 from axijax.core.vector import Vector
-from axijax.mechanics.contact_list import build_network
+from axijax.mechanics.contact_list import build_contact_list
 from axijax.mechanics.dynamics import initial_state, make_step, positions
 from axijax.mechanics.membrane import Load, membrane_load
 from axijax.mechanics.time_step import SAFE_STEP, critical_time_step
@@ -31,7 +31,7 @@ QUARTER, FULL, RIGID = Sector(4), Sector(1), Sector(4, "rigid")
 
 @lru_cache
 def octagon_network(sector, layers=25, half_width=9):
-    return build_network(cut_to_sector(fcc_octagon(RADIUS, layers, half_width), sector), sector)
+    return build_contact_list(cut_to_sector(fcc_octagon(RADIUS, layers, half_width), sector), sector)
 
 
 def limit(network, scene=SCENE, damping=None, **params):
@@ -40,10 +40,10 @@ def limit(network, scene=SCENE, damping=None, **params):
 
 
 def loose(points, **options):
-    """Network of balls at points (3, N) [L] in the full cylinder; a platen far off touches two others."""
+    """ContactList of balls at points (3, N) [L] in the full cylinder; a platen far off touches two others."""
     points = np.concatenate([points, [[0, 0], [0, 0], [-500, 500]]], 1)
     zone = np.ones(points.shape[1], bool)
-    return build_network(Specimen(points, RADIUS, -520.0, 520.0, zone), FULL, **options)
+    return build_contact_list(Specimen(points, RADIUS, -520.0, 520.0, zone), FULL, **options)
 
 
 def cubic_block(lattice, size):
@@ -130,7 +130,7 @@ def still(params, network, dt, state, push, section):
 
 
 def squeezed(sector, scene, layers=5):
-    """Network and state of a small octagon with every contact closed and nothing near the Coulomb limit."""
+    """ContactList and state of a small octagon with every contact closed and nothing near the Coulomb limit."""
     network = octagon_network(sector, layers, 3)
     place = positions(network, initial_state(scene, Params(), network, jnp.zeros(2)))
     platens = jnp.array([0.0, RADIUS * (2 + (layers - 1) * 2**0.5)])

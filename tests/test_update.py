@@ -14,7 +14,7 @@ from axijax import Params
 from axijax.core.sector import Sector
 from axijax.core.status import FULL_LIST, NOT_FINITE, STALE_LIST
 from axijax.core.vector import from_rows
-from axijax.mechanics.contact_list import Grid, build_network, carry, carry_memory
+from axijax.mechanics.contact_list import Grid, build_contact_list, carry, carry_memory
 from axijax.mechanics.contact_search import contact_list, update
 from axijax.mechanics.term import Memory
 from axijax.specimen.specimen import fcc_octagon
@@ -27,6 +27,7 @@ WIDTH, CONTACTS = 124, 624  # enough for every order: few programs are compiled
 GRID = Grid((5, 5, 4), 90)
 
 jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+
 
 def found_again(grid, network, displacement, springs):
     """The list found again with this grid, the springs carried to it, and the status."""
@@ -46,7 +47,7 @@ def scene(order, dtype=np.float64, boundary="periodic", seed=0):
     moves *= 0.4 * SKIN * rng.uniform(size=25) / np.linalg.norm(moves, axis=0)
     moves[2] = np.clip(specimen.positions[2] + moves[2], -3, 3) - specimen.positions[2]
     moves[:, (np.hypot(*specimen.positions[:2]) == 0) & (sector.images > 1)] *= [[0], [0], [1]]
-    network = build_network(specimen, sector, SKIN, WIDTH, CONTACTS, ANY_OVERLAP, dtype)
+    network = build_contact_list(specimen, sector, SKIN, WIDTH, CONTACTS, ANY_OVERLAP, dtype)
     return specimen, sector, network, moves.astype(dtype).astype(float)
 
 
@@ -64,7 +65,7 @@ def test_updated_list_is_that_of_every_pair_and_of_the_host(order, boundary):
     both = list(from_both_sides(listed(made), on_axis, sector.images))
     assert len(both) == len(set(both)) and set(both) == set(pairs)
     assert set(listed(made)) != set(listed(network)), "the motion must change the list"
-    host = build_network(after, sector, SKIN, WIDTH, CONTACTS, ANY_OVERLAP)
+    host = build_contact_list(after, sector, SKIN, WIDTH, CONTACTS, ANY_OVERLAP)
     for name in (field.name for field in fields(host) if field.name not in ("sector", "grid")):
         ours, theirs = np.asarray(getattr(made, name)), np.asarray(getattr(host, name))
         assert ours.dtype == theirs.dtype
@@ -85,7 +86,7 @@ def test_float32_finds_the_same_contacts_and_keeps_overlaps(order):
     specimen, sector, network, moves = scene(order, np.float32)
     lifted = specimen.positions + np.array([[0], [0], [5000]])
     high = replace(specimen, positions=lifted, bottom=4990.0, top=5010.0)
-    network = build_network(high, sector, SKIN, WIDTH, CONTACTS, ANY_OVERLAP, np.float32)
+    network = build_contact_list(high, sector, SKIN, WIDTH, CONTACTS, ANY_OVERLAP, np.float32)
     made, _, bits = found_again(GRID, network, from_rows(moves.astype(np.float32)), None)
     assert int(bits) == 0
     after = replace(specimen, positions=specimen.positions + moves)
@@ -118,7 +119,7 @@ def test_updates_in_a_row_are_one_update(order):
         always &= set(listed(now))
     after = replace(specimen, positions=np.asarray(now.positions), bottom=-9.0, top=9.0)
     np.testing.assert_allclose(np.asarray(now.positions), specimen.positions + 10 * moves, rtol=0, atol=1e-13)
-    host = build_network(after, sector, SKIN, WIDTH, CONTACTS, ANY_OVERLAP)
+    host = build_contact_list(after, sector, SKIN, WIDTH, CONTACTS, ANY_OVERLAP)
     assert listed(host) == listed(now)
     np.testing.assert_allclose(np.asarray(now.branch), np.asarray(host.branch), rtol=0, atol=1e-12)
     before, places = listed(network), listed(now)
@@ -141,13 +142,13 @@ def test_whatever_goes_wrong_sets_a_bit():
     assert bits(network, replace(still, z=still.z.at[7].set(0.51 * SKIN).at[8].set(-0.51 * SKIN))) == STALE_LIST
     assert bits(network, moves, grid=Grid((5, 5, 4), 2)) == FULL_LIST
 
-    tight = build_network(specimen, sector, SKIN, largest_overlap=ANY_OVERLAP)
+    tight = build_contact_list(specimen, sector, SKIN, largest_overlap=ANY_OVERLAP)
     width, contacts = tight.slot.shape[0], int((np.asarray(tight.image) >= 0).sum())
     larger = replace(specimen, radius=specimen.radius * 1.02)
-    more = build_network(larger, sector, SKIN, largest_overlap=ANY_OVERLAP)
+    more = build_contact_list(larger, sector, SKIN, largest_overlap=ANY_OVERLAP)
     assert more.slot.shape[0] > width and int((more.image >= 0).sum()) > contacts
     for wide, length in ((width + 40, contacts + 1), (width, contacts + 90)):
-        enough = build_network(specimen, sector, SKIN, wide, length, ANY_OVERLAP)
+        enough = build_contact_list(specimen, sector, SKIN, wide, length, ANY_OVERLAP)
         assert bits(enough, still, None) == 0, "what is just enough is enough"
         assert bits(replace(enough, radius=jnp.asarray(larger.radius)), still, None) == FULL_LIST
 
@@ -157,7 +158,9 @@ def test_a_specimen_may_outgrow_its_grid():
     specimen, sector, network, moves = scene(4)
     made, _, bits = found_again(Grid((3, 2, 1), 95), network, from_rows(moves), None)
     assert int(bits) == 0
-    host = build_network(replace(specimen, positions=specimen.positions + moves), sector, SKIN, largest_overlap=1e9)
+    host = build_contact_list(
+        replace(specimen, positions=specimen.positions + moves), sector, SKIN, largest_overlap=1e9
+    )
     assert listed(made) == listed(host)
 
 
@@ -165,7 +168,7 @@ def test_allocate_leaves_room():
     specimen, sector, _, _ = scene(4)
     network = contact_list(sector, SKIN, capacity_multiplier=1.5, largest_overlap=ANY_OVERLAP).allocate(specimen)
     grid = network.grid
-    tight = build_network(specimen, sector, SKIN, largest_overlap=ANY_OVERLAP)
+    tight = build_contact_list(specimen, sector, SKIN, largest_overlap=ANY_OVERLAP)
     assert network.slot.shape[0] >= 1.5 * tight.slot.shape[0] and network.first.size >= 1.5 * tight.first.size
     assert listed(network) == listed(tight)
     assert np.prod(grid.cells) > 1 and grid.capacity >= 3
@@ -206,8 +209,8 @@ def shear():
         return jit(lambda f: jax.jvp(lambda f: test.simulate(replace(params, friction=f)), (f,), (1.0,)))(0.12278)
 
     with pytest.MonkeyPatch.context() as patch:
-        rebuilt = mock.Mock(side_effect=progress.rebuilt)
-        patch.setattr(progress, "rebuilt", rebuilt)
+        rebuilt = mock.Mock(side_effect=progress.rebuild_on_host)
+        patch.setattr(progress, "rebuild_on_host", rebuilt)
         run = kept.run().curve
     assert rebuilt.call_count > 0, "the host must have made its lists anew"
     return run, curve_and_tangent(kept), curve_and_tangent(renewed)

@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt, label
 from axijax import Params
 from axijax.core.sector import Sector
 from axijax.core.vector import from_rows
-from axijax.mechanics.contact_search import grid_for, renew
+from axijax.mechanics.contact_search import grid_for, rebuild_in_jit
 from axijax.mechanics.dynamics import Scene, initial_state
 from axijax.mechanics.membrane import build_membrane, membrane_load
 from axijax.mechanics.observe import observe
@@ -170,13 +170,13 @@ def test_run_and_simulate_share_volume_as_long_as_they_share_a_trajectory(random
 
 
 def test_lists_made_anew_keep_the_volume_to_rounding(random_test):
-    """`renew`, as inside `simulate`, at displaced balls: the same places seen from other references."""
+    """`rebuild_in_jit`, as inside `simulate`, at displaced balls: the same places seen from other references."""
     test = random_test
     state = initial_state(Scene(), test.params, test.network, [test.cut.bottom, test.cut.top])
     moved = jnp.asarray(np.random.default_rng(0).normal(size=test.cut.positions.shape) * 0.5)
     state = state._replace(displacement=from_rows(moved))
     network = replace(test.network, grid=grid_for(test.network))
-    network, membrane, after = renew(network, test.membrane, state)
+    network, membrane, after = rebuild_in_jit(network, test.membrane, state)
 
     def volume(network, membrane, state):
         load = membrane_load(membrane, network.positions + state.displacement, *state.platens)

@@ -150,9 +150,7 @@ def _radius_limit(test: TriaxialTest | None, radius: float) -> float:
     return 0.05 if test is None else max(0.05, 3 * float((test.cut.radius.mean() / radius) ** 2))
 
 
-def _core_check(
-    test: TriaxialTest | None, platen: float, core: float, radius: float, place: str = "the peak"
-) -> Check:
+def _core_check(test: TriaxialTest | None, platen: float, core: float, radius: float, place: str = "the peak") -> Check:
     """Platen against core stress ratio, with the limit that the boundaries and the number of balls allow."""
     name, gap = f"platen against core stress ratio at {place}", abs(platen / core - 1)
     meaning = (

@@ -248,9 +248,7 @@ def read_info(folder: Path, needed: Sequence[str] = ("status",)) -> dict[str, An
     except (OSError, ValueError, RecursionError):
         wrong = "it is no JSON"
     if wrong:
-        raise ValueError(
-            f"result '{folder}': its run.json is damaged ({wrong}); run the case again, with --overwrite."
-        )
+        raise ValueError(f"result '{folder}': its run.json is damaged ({wrong}); run the case again, with --overwrite.")
     return info
 
 

@@ -4,10 +4,10 @@ A contact is (ball i, ball j, image k) with the spring and the force in the fram
 from j is (j, i, -k), so each pair is listed once: its force acts on i, and turned back by -k with the other sign on
 j. Every ball gathers its contacts through a table of slots; nothing is scattered, and sums have a fixed order.
 
-The list is built on the host by a k-d tree over all images (`axijax.mechanics.contact_search` makes it anew inside jit), and stays right
-while no two balls have come closer by more than the skin (`closing`). Motion is stored as displacement from the
-positions at which the list was built, and each contact keeps its branch vector of that moment: so float32 loses nothing
-to large coordinates, and any image of a ball may represent it.
+The list is built on the host by a k-d tree over all images (`axijax.mechanics.contact_search` makes it anew inside
+jit), and stays right while no two balls have come closer by more than the skin (`closing`). Motion is stored as
+displacement from the positions at which the list was built, and each contact keeps its branch vector of that moment: so
+float32 loses nothing to large coordinates, and any image of a ball may represent it.
 """
 
 from dataclasses import dataclass, field
@@ -40,7 +40,7 @@ class Grid:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Network:
+class ContactList:
     """C possible contacts among N balls, at most K each; a pytree of arrays. The last contact is never closed.
 
     first, second, image: (C,) int, the contact (i, j, k); -1 in image where the contact is padding.
@@ -121,7 +121,7 @@ class Network:
         return there.map(lambda component: component.sum(axis=0))
 
 
-def build_network(
+def build_contact_list(
     specimen: Specimen,
     sector: Sector,
     skin: float | None = None,
@@ -129,7 +129,7 @@ def build_network(
     contacts: int | None = None,
     largest_overlap: float = 0.05,
     dtype=np.float64,
-) -> Network:
+) -> ContactList:
     """Contact list of a specimen's balls in a sector (host).
 
     skin: how much farther than touching to look [L]; None takes 0.8 of the smallest radius, which in a cubic
@@ -184,7 +184,7 @@ def build_network(
     share = sector.weight(on_axis[i] & on_axis[j]) / np.where((i == j) & (2 * k % sector.order == 0), 2.0, 1.0)
     cos, sin = sector.cos_sin(k)
     slot_cos, slot_sin = sector.cos_sin(turn)
-    return Network(
+    return ContactList(
         first=padded(i, 0, np.int32),
         second=padded(j, 0, np.int32),
         image=padded(k, -1, np.int32),
@@ -209,7 +209,7 @@ def build_network(
     )
 
 
-def closing(network: Network, displacement: Vector) -> jax.Array:
+def closing(network: ContactList, displacement: Vector) -> jax.Array:
     """The most by which two balls, images included, can have come closer since the list was built [L].
 
     No contact is missing while this is below the skin. displacement: (N,) vectors since then [L].
@@ -256,13 +256,13 @@ def _pair_up(i, j, k, on_axis, sector: Sector):
     return i, contact, np.where(own, 1.0, -1.0), turn, (i[own], j[own], k[own])
 
 
-def keys(network: Network, first, second, image) -> jax.Array:
+def keys(network: ContactList, first, second, image) -> jax.Array:
     """One number for each contact (i, j, k), ascending in a list; padding comes last."""
     key = (first.astype(jnp.int64) * network.radius.size + second) * network.sector.images + image
     return jnp.where(image >= 0, key, jnp.iinfo(jnp.int64).max)
 
 
-def places_in(old: Network, new: Network) -> tuple[jax.Array, jax.Array]:
+def places_in(old: ContactList, new: ContactList) -> tuple[jax.Array, jax.Array]:
     """Where each contact of the new list is in the old one, and whether it is there at all; (C,) each.
 
     Both lists must describe every ball by the same image.
@@ -274,13 +274,13 @@ def places_in(old: Network, new: Network) -> tuple[jax.Array, jax.Array]:
 
 
 @jax.jit
-def carry(old: Network, new: Network, values: Any) -> Any:
+def carry(old: ContactList, new: ContactList, values: Any) -> Any:
     """What belongs to the old list's contacts, a pytree of (C,) arrays, at each contact's place in the new list; zero
     for contacts that the old list does not hold."""
     place, known = places_in(old, new)
     return jax.tree.map(lambda part: jnp.where(known, part[place], jnp.zeros((), part.dtype)), values)
 
 
-def carry_memory(old: Network, new: Network, memory: tuple["Memory", ...]) -> tuple["Memory", ...]:
+def carry_memory(old: ContactList, new: ContactList, memory: tuple["Memory", ...]) -> tuple["Memory", ...]:
     """The terms' memory, with what belongs to contacts carried to a new list."""
     return tuple(each._replace(contact=carry(old, new, each.contact)) for each in memory)

@@ -1,5 +1,5 @@
 """Lists that change inside jit: `contact_list` gives `allocate`, which makes room on the host, and `update`, which
-finds the contacts again; `renew` the membrane as well.
+finds the contacts again; `rebuild_in_jit` the membrane as well.
 
 The search puts every image of every ball into a grid of cells at least as wide as the longest contact and looks round
 each ball in its 27 cells, so that an image is found like any other ball, for any n. Cells and capacities are fixed;
@@ -22,7 +22,7 @@ from scipy.spatial import QhullError
 from axijax.core.sector import Sector
 from axijax.core.status import FULL_LIST, NOT_FINITE, STALE_CELLS, STALE_LIST
 from axijax.core.vector import Vector, zeros
-from axijax.mechanics.contact_list import Grid, Network, build_network, carry_memory, closing, keys, places_in
+from axijax.mechanics.contact_list import ContactList, Grid, build_contact_list, carry_memory, closing, keys, places_in
 from axijax.mechanics.contacts import geometry
 from axijax.mechanics.membrane import Membrane, membrane_arrays
 from axijax.mechanics.outer_balls import zone_found_again
@@ -31,11 +31,11 @@ from axijax.specimen.specimen import Specimen
 
 
 class ContactListFunctions(NamedTuple):
-    """As jax-md's `NeighborListFns`: `allocate(specimen) -> Network` on the host, where a list gets its room;
-    `update(displacement, network) -> Network` inside jit, where it keeps it. Look at `did_buffer_overflow`."""
+    """As jax-md's `NeighborListFns`: `allocate(specimen) -> ContactList` on the host, where a list gets its room;
+    `update(displacement, network) -> ContactList` inside jit, where it keeps it. Look at `did_buffer_overflow`."""
 
-    allocate: Callable[[Specimen], Network]
-    update: Callable[[Vector, Network], Network]
+    allocate: Callable[[Specimen], ContactList]
+    update: Callable[[Vector, ContactList], ContactList]
 
 
 def contact_list(
@@ -45,23 +45,24 @@ def contact_list(
     largest_overlap: float = 0.05,
     dtype=np.float64,
 ) -> ContactListFunctions:
-    """Contact lists of a sector by jax-md's protocol; springs go from one to the next by `axijax.mechanics.contact_list.carry`.
+    """Contact lists of a sector by jax-md's protocol; springs go from one to the next by
+    `axijax.mechanics.contact_list.carry`.
 
     capacity_multiplier: room over what is needed when the list is allocated [-]. The other arguments, and the errors of
-        `allocate`, are those of `build_network`.
+        `allocate`, are those of `build_contact_list`.
     """
 
-    def allocate(specimen: Specimen) -> Network:
-        tight = build_network(specimen, sector, skin, largest_overlap=largest_overlap, dtype=dtype)
+    def allocate(specimen: Specimen) -> ContactList:
+        tight = build_contact_list(specimen, sector, skin, largest_overlap=largest_overlap, dtype=dtype)
         width = int(np.ceil(capacity_multiplier * tight.slot.shape[0]))
         contacts = 8 * int(np.ceil(capacity_multiplier * tight.first.size / 8))
-        network = build_network(specimen, sector, skin, width, contacts, largest_overlap, dtype)
+        network = build_contact_list(specimen, sector, skin, width, contacts, largest_overlap, dtype)
         return replace(network, grid=grid_for(network, capacity_multiplier))
 
     return ContactListFunctions(allocate, update)
 
 
-def grid_for(network: Network, room: float = 1.5) -> Grid:
+def grid_for(network: ContactList, room: float = 1.5) -> Grid:
     """A grid for a contact list's balls, its capacity `room` times what is needed now (host)."""
     x, y, z = np.asarray(network.positions)
     widest = 2 * float(network.radius.max()) + float(network.skin)
@@ -71,7 +72,7 @@ def grid_for(network: Network, room: float = 1.5) -> Grid:
     return replace(grid, capacity=int(np.ceil(room * fullest)) + 2)
 
 
-def update(displacement: Vector, network: Network) -> Network:
+def update(displacement: Vector, network: ContactList) -> ContactList:
     """The contact list at the present positions.
 
     displacement: (N,) vectors from the old list's reference positions; those of the new list are the present ones [L].
@@ -133,7 +134,7 @@ def update(displacement: Vector, network: Network) -> Network:
     )
 
 
-def renew(network: Network, membrane: Membrane, state: State) -> tuple[Network, Membrane, State]:
+def rebuild_in_jit(network: ContactList, membrane: Membrane, state: State) -> tuple[ContactList, Membrane, State]:
     """Contact list and membrane at the present positions, and the state that goes with them.
 
     The membrane's zone is found again and triangulated by SciPy on the host, called from inside jit, in the room that
@@ -171,12 +172,12 @@ def _triangulated(sector: Sector, dtype, held) -> tuple[Membrane, np.ndarray]:
     return jax.tree.map(lambda new, was: np.asarray(new, was.dtype), made, old), np.asarray(0, np.int32)
 
 
-def _turns(network: Network):
+def _turns(network: ContactList):
     """Cosines and sines of the turns to all images."""
     return [jnp.asarray(values, network.dtype) for values in network.sector.cos_sin(np.arange(network.sector.images))]
 
 
-def _copies(network: Network, positions: Vector):
+def _copies(network: ContactList, positions: Vector):
     """Places of all images (P,) of the balls, in the order of the key ball * images + image; which of them are balls of
     their own. All images of a ball on the axis are the ball itself."""
     images = network.sector.images
@@ -187,7 +188,7 @@ def _copies(network: Network, positions: Vector):
     return places, (~on_axis | (jnp.arange(images) == 0)).ravel()
 
 
-def _cells(grid: Grid, network: Network, positions: Vector, places: Vector):
+def _cells(grid: Grid, network: ContactList, positions: Vector, places: Vector):
     """The cell (3, ...) of every place."""
     rho = jnp.sqrt((positions.x**2 + positions.y**2).max())
     widest = 2 * network.radius.max() + network.skin
@@ -198,14 +199,14 @@ def _cells(grid: Grid, network: Network, positions: Vector, places: Vector):
     ]
 
 
-def _cell_counts(grid: Grid, network: Network, positions: Vector):
+def _cell_counts(grid: Grid, network: ContactList, positions: Vector):
     places, real = _copies(network, positions)
     x, y, z = _cells(grid, network, positions, places)
     number = (x * grid.cells[1] + y) * grid.cells[2] + z
     return jnp.zeros(np.prod(grid.cells), jnp.int32).at[number].add(real)
 
 
-def _neighbours(grid: Grid, network: Network, positions: Vector):
+def _neighbours(grid: Grid, network: ContactList, positions: Vector):
     """Keys (K, N) of the images near each ball, ascending, or `nothing` = N * images; and whether any did not fit."""
     places, real = _copies(network, positions)
     images, nothing = network.sector.images, real.size
@@ -241,10 +242,10 @@ def _neighbours(grid: Grid, network: Network, positions: Vector):
     return near, full | ((there > last) & (there < nothing)).any()
 
 
-def _pair_up(network: Network, near):
-    """The contacts (C,), and the tables (K, N) of contact, side and turn; see `axijax.mechanics.contact_list._pair_up`."""
-    images, balls, width = network.sector.images, network.radius.size, near.shape[0]
-    listed = near < balls * images
+def _pair_up(network: ContactList, near):
+    """The contacts (C,), and the tables (K, N) of contact, side and turn; see
+    `axijax.mechanics.contact_list._pair_up`.""" images, balls, width = network.sector.images, network.radius.size,
+    near.shape[0] listed = near < balls * images
     i = jnp.broadcast_to(jnp.arange(balls, dtype=near.dtype), near.shape)
     j, k = jnp.where(listed, near // images, 0), near % images
     back = -k % images

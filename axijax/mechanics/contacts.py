@@ -6,8 +6,8 @@ capped at friction * normal force and the spring is scaled by the same factor (C
 Stiffnesses are the contact's, not the ball's. Dashpots c = 2 * beta * sqrt(k * m*), with m* the reduced mass of
 the pair, m/2 for two equal balls.
 
-A law whose constants depend on the overlap (`axijax.mechanics.hertz`) is this one with the constants of the moment, which its
-method `at` gives.
+A law whose constants depend on the overlap (`axijax.mechanics.hertz`) is this one with the constants of the moment,
+which its method `at` gives.
 
 `frictional_law` carries its own derivative: written out by hand it shares the intermediate results of the value, and a
 tangent costs little more than the value does.
@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from axijax.core.vector import Vector, zeros
 from axijax.mechanics import capped_spring
 from axijax.mechanics.capped_spring import moving, plus, plus_vector
-from axijax.mechanics.contact_list import Network
+from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.term import Memory, Push, Spent, Stored, Term
 
 
@@ -86,7 +86,7 @@ class Geometry(NamedTuple):
     overlap: jax.Array
 
 
-def geometry(network: Network, displacement: Vector) -> Geometry:
+def geometry(network: ContactList, displacement: Vector) -> Geometry:
     """Branch vectors and overlaps after the balls' displacement (N,) from the reference positions."""
     change = network.of_first(displacement) - network.of_second(displacement)
     branch = network.branch + change
@@ -96,7 +96,7 @@ def geometry(network: Network, displacement: Vector) -> Geometry:
 
 
 def contact_forces(
-    law: ContactLaw, network: Network, dt, displacement, velocity, surface_speed, spring
+    law: ContactLaw, network: ContactList, dt, displacement, velocity, surface_speed, spring
 ) -> ContactForces:
     """Forces of all contacts and their springs one step later.
 
@@ -274,7 +274,7 @@ def _now_and_before(dt, state) -> tuple[Vector, Vector]:
     return state.displacement, state.displacement - state.velocity * dt
 
 
-def relative_motion(network: Network, displacement: Vector, velocity: Vector, spin: Vector | None):
+def relative_motion(network: ContactList, displacement: Vector, velocity: Vector, spin: Vector | None):
     """Normals of the contacts, and the velocity of the first ball's surface against the second's; (C,) vectors."""
     place = geometry(network, displacement)
     normal = place.branch * (1 / jnp.sqrt(place.branch.dot(place.branch)))
@@ -286,7 +286,7 @@ def relative_motion(network: Network, displacement: Vector, velocity: Vector, sp
     return normal, relative
 
 
-def resultants(contacts: ContactForces, network: Network) -> tuple[Vector, Vector | None]:
+def resultants(contacts: ContactForces, network: ContactList) -> tuple[Vector, Vector | None]:
     """Sum of the contact forces [F] and of their moments about the centre [F L] on each ball; (N,) vectors."""
     force = network.sum_on_balls(contacts.force, reaction=-1)
     if contacts.moment_arm is None:

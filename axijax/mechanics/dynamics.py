@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from axijax.core.quantity import parts_of
 from axijax.core.vector import Vector, zeros
-from axijax.mechanics.contact_list import Network
+from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.contacts import ContactForces, ContactTerm
 from axijax.mechanics.lateral import LateralTerm
 from axijax.mechanics.membrane import Load
@@ -73,12 +73,12 @@ class Forces(NamedTuple):
         """Of each term, one step later."""
         return tuple(push.memory for push in self.pushes)
 
-    def platen_forces(self, network: Network) -> jax.Array:
+    def platen_forces(self, network: ContactList) -> jax.Array:
         """(2,) forces that the balls put on the platens of a sector [F]."""
         return jnp.stack([(push * network.weight).sum() for push in self.platen_push])
 
 
-def initial_state(scene: Scene, params: Params, network: Network, platens) -> State:
+def initial_state(scene: Scene, params: Params, network: ContactList, platens) -> State:
     """Balls at rest at the reference positions, springs unstrained; platens: (2,) heights [L]."""
     still = zeros(network.radius.shape, network.dtype)
     return State(
@@ -92,12 +92,12 @@ def initial_state(scene: Scene, params: Params, network: Network, platens) -> St
     )
 
 
-def positions(network: Network, state: State) -> Vector:
+def positions(network: ContactList, state: State) -> Vector:
     """Ball centres (N,) [L]."""
     return network.positions + state.displacement
 
 
-def all_forces(scene: Scene, params: Params, network: Network, load: Load, dt, state: State) -> Forces:
+def all_forces(scene: Scene, params: Params, network: ContactList, load: Load, dt, state: State) -> Forces:
     """The sum of all terms at the positions of `state`."""
     terms = terms_of(params, load)
     pushes = tuple(
@@ -113,13 +113,13 @@ def all_forces(scene: Scene, params: Params, network: Network, load: Load, dt, s
 
 
 # A platen drive gives the platens' velocities at t + dt/2, see `axijax.triaxial.paths.Path.platen_speeds`.
-PlatenDrive = Callable[[Params, Network, Any, State, jax.Array, jax.Array], jax.Array]
+PlatenDrive = Callable[[Params, ContactList, Any, State, jax.Array, jax.Array], jax.Array]
 
 
 def make_step(scene: Scene, drive: PlatenDrive):
     """A pure function step(params, network, load, dt, state) -> state for one scene and one way to move the platens."""
 
-    def step(params: Params, network: Network, load: Load, dt, state: State) -> State:
+    def step(params: Params, network: ContactList, load: Load, dt, state: State) -> State:
         forces = all_forces(scene, params, network, load, dt, state)
         platen_speeds = drive(params, network, dt, state, forces.platen_forces(network), load.section)
         velocity, spin = next_motion(params, network, dt, state, forces)
@@ -136,7 +136,7 @@ def make_step(scene: Scene, drive: PlatenDrive):
     return step
 
 
-def next_motion(params: Params, network: Network, dt, state: State, forces: Forces):
+def next_motion(params: Params, network: ContactList, dt, state: State, forces: Forces):
     """Velocities and spins (or None) at t + dt/2 from the forces at t; (N,) vectors [L/T], [1/T]."""
     mass = params.material.mass_per_cube * network.radius**3
     advance = partial(params.material.kind_of_damping.advance, dt, positions(network, state))

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from axijax.mechanics.contact_list import Network
+from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.dynamics import PlatenDrive, Scene, all_forces, make_step, positions, terms_of
 from axijax.mechanics.membrane import Load
 from axijax.mechanics.params import Params
@@ -83,11 +83,12 @@ def open_ledger(dtype=jnp.float64) -> Ledger:
 def make_ledger_step(scene: Scene, drive: PlatenDrive):
     """A pure function step(params, network, load, dt, (state, ledger)) -> (state, ledger).
 
-    The state is advanced by `axijax.mechanics.dynamics.make_step`; the compiler finds its forces and the ledger's to be the same.
+    The state is advanced by `axijax.mechanics.dynamics.make_step`; the compiler finds its forces and the ledger's to be
+    the same.
     """
     advance = make_step(scene, drive)
 
-    def step(params: Params, network: Network, load: Load, dt, both: tuple[State, Ledger]) -> tuple[State, Ledger]:
+    def step(params: Params, network: ContactList, load: Load, dt, both: tuple[State, Ledger]) -> tuple[State, Ledger]:
         state, ledger = both
         forces = all_forces(scene, params, network, load, dt, state)
         after = advance(params, network, load, dt, state)
@@ -112,7 +113,7 @@ def make_ledger_step(scene: Scene, drive: PlatenDrive):
     return step
 
 
-def _drag_power(params: Params, network: Network, forces, state: State, mean: State):
+def _drag_power(params: Params, network: ContactList, forces, state: State, mean: State):
     """Power that the damping of the balls' own motion takes."""
     damping, place = params.material.kind_of_damping, positions(network, state)
     mass = params.material.mass_per_cube * network.radius**3
@@ -124,7 +125,7 @@ def _drag_power(params: Params, network: Network, forces, state: State, mean: St
 
 
 def energy_balance(
-    scene: Scene, params: Params, network: Network, load: Load, dt, state: State, ledger: Ledger
+    scene: Scene, params: Params, network: ContactList, load: Load, dt, state: State, ledger: Ledger
 ) -> EnergyBalance:
     """All terms at t - dt/2 for a state at t; arguments as in `axijax.mechanics.dynamics.all_forces`.
 

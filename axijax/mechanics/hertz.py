@@ -28,7 +28,7 @@ import numpy as np
 from axijax.core.quantity import quantity
 from axijax.core.tree import pytree
 from axijax.core.vector import Vector
-from axijax.mechanics.contact_list import Network
+from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.contacts import Geometry, Law
 from axijax.mechanics.material import Material
 from axijax.mechanics.walls import Wall
@@ -127,7 +127,7 @@ class Hertz(Material):
         """E* = G/(1 - nu) and 8 G* = 4 G/(2 - nu) of two bodies of one material [F/L^2]."""
         return self.shear_modulus / (1 - self.poisson_ratio), 4 * self.shear_modulus / (2 - self.poisson_ratio)
 
-    def contact_law(self, network: Network) -> HertzLaw:
+    def contact_law(self, network: ContactList) -> HertzLaw:
         friction = self.contact_friction(network) if self.frictional else None
         radius = reduced_radius(network)
         root = jnp.sqrt(radius)
@@ -139,7 +139,7 @@ class Hertz(Material):
             normal_viscosity, shear_viscosity = viscosity * jnp.sqrt(2 * normal), viscosity * jnp.sqrt(shear)
         return HertzLaw((4 / 3) * normal, shear, friction, normal_viscosity, shear_viscosity, SHALLOW * radius)
 
-    def wall_law(self, network: Network) -> HertzWall:
+    def wall_law(self, network: ContactList) -> HertzWall:
         # A flat plate of the balls' material, so R* is the ball's radius.
         normal, shear = (modulus * jnp.sqrt(network.radius) for modulus in self.moduli)
         rough = self.platen_friction is not None
@@ -192,7 +192,7 @@ class Hertz(Material):
         return np.asarray(normal), np.asarray(shear), of_wall
 
 
-def reduced_radius(network: Network):
+def reduced_radius(network: ContactList):
     """R* = r1 r2/(r1 + r2) of the contacts [L]; () where all balls are equal."""
     if jnp.ndim(network.pair_cube) == 0:
         return jnp.cbrt(0.25 * network.pair_cube)  # of equal balls r/2, from r^3/2
@@ -200,7 +200,7 @@ def reduced_radius(network: Network):
     return first * second / (first + second)
 
 
-def confined_force(network: Network, stress, touching_within: float = 1e-3):
+def confined_force(network: ContactList, stress, touching_within: float = 1e-3):
     """Mean normal force of a contact under the confining stress [F], not less than the true one: 3 s3 V / sum(l).
 
     From the mean stress s3 = sum(force * l) / (3 V) of a packing with branches l = r1 + r2 (Love-Weber). The volume V

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from axijax.core.quantity import quantity
 from axijax.core.tree import pytree
-from axijax.mechanics.contact_list import Network
+from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.contacts import Law
 from axijax.mechanics.material import Material
 from axijax.mechanics.walls import Wall
@@ -28,7 +28,7 @@ class Linear(Material):
         1.5e9, "tangential stiffness of a contact", "F/L", above=0.0, symbols=("ks",)
     )
 
-    def contact_law(self, network: Network) -> Law:
+    def contact_law(self, network: ContactList) -> Law:
         friction = self.contact_friction(network) if self.frictional else None
         stiffness = self.normal_stiffness, self.shear_stiffness
         beta = self.kind_of_damping.viscosity_ratio
@@ -37,7 +37,7 @@ class Linear(Material):
         reduced_mass = self.mass_per_cube * network.pair_cube
         return Law(*stiffness, friction, *(2 * beta * jnp.sqrt(k * reduced_mass) for k in stiffness))
 
-    def wall_law(self, network: Network) -> Wall:
+    def wall_law(self, network: ContactList) -> Wall:
         stiffness = self.normal_stiffness
         shear = None if self.platen_friction is None else self.shear_stiffness
         beta = self.kind_of_damping.viscosity_ratio

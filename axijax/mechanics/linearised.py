@@ -1,5 +1,5 @@
-"""The motion of any scene about rest, linearised by JAX from `axijax.mechanics.dynamics.all_forces`: what sets the critical time
-step where a term or a material is not one that `axijax.mechanics.time_step` knows by heart (host).
+"""The motion of any scene about rest, linearised by JAX from `axijax.mechanics.dynamics.all_forces`: what sets the
+critical time step where a term or a material is not one that `axijax.mechanics.time_step` knows by heart (host).
 
 Every contact sticks: friction is without limit, and whatever is nearer than touching is pressed together. Tangential
 springs do not follow from the places of the balls; they grow in a step by slip rate times dt. So the forces' derivative
@@ -19,7 +19,7 @@ import numpy as np
 
 from axijax.core.sector import plane_normals
 from axijax.core.vector import Vector, from_rows
-from axijax.mechanics.contact_list import Network
+from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.contacts import Geometry
 from axijax.mechanics.dynamics import Scene, all_forces, initial_state
 from axijax.mechanics.hertz import OVERLOAD, confined_force
@@ -56,12 +56,12 @@ class Plate(NamedTuple):
     rough: bool
 
 
-def closed_contacts(network: Network, touching_within: float) -> np.ndarray:
+def closed_contacts(network: ContactList, touching_within: float) -> np.ndarray:
     """(C,) which contacts count as closed: a gap below touching_within of the smallest radius."""
     return -np.asarray(network.overlap, float) < touching_within * np.asarray(network.radius, float).min()
 
 
-def plates(network: Network, touching_within: float) -> list[Plate]:
+def plates(network: ContactList, touching_within: float) -> list[Plate]:
     """Platens, as near as the lowest and the highest ball, and rigid sector planes."""
     radius, place = np.asarray(network.radius, float), np.asarray(network.positions, float)
     lowest, highest = (place[2] - radius).min(), (place[2] + radius).max()
@@ -81,7 +81,7 @@ def plates(network: Network, touching_within: float) -> list[Plate]:
     ]
 
 
-def coordinates(network: Network, mass: np.ndarray, spins: bool) -> tuple[np.ndarray, np.ndarray]:
+def coordinates(network: ContactList, mass: np.ndarray, spins: bool) -> tuple[np.ndarray, np.ndarray]:
     """Displacement or turn of each ball for each coordinate, and where none may be; (3 or 6, N) [M^-1/2], [-]."""
     radius, share = np.asarray(network.radius, float), np.asarray(network.weight, float)
     scale = np.stack([mass] * 3 + [0.4 * mass * radius**2] * (3 if spins else 0))
@@ -90,7 +90,7 @@ def coordinates(network: Network, mass: np.ndarray, spins: bool) -> tuple[np.nda
 
 
 def linearised(
-    scene: Scene, params: Params, network: Network, touching_within: float = 1e-3, squeeze: float | None = None
+    scene: Scene, params: Params, network: ContactList, touching_within: float = 1e-3, squeeze: float | None = None
 ) -> Operators:
     """The operators of a scene, every term included.
 
@@ -132,7 +132,9 @@ def _stuck(params: Params) -> dict[str, Any]:
 
 
 @partial(jax.jit, static_argnums=0)
-def _response(scene: Scene, params: Params, network: Network, state: State, dt, moved: Vector, velocity: Vector, spin):
+def _response(
+    scene: Scene, params: Params, network: ContactList, state: State, dt, moved: Vector, velocity: Vector, spin
+):
     """Change of resultants and moments with this change of displacement, velocity and spin, (N,) vectors."""
     load = Load(jnp.zeros_like(network.radius), jnp.ones(()))
 
@@ -144,7 +146,7 @@ def _response(scene: Scene, params: Params, network: Network, state: State, dt, 
     return jax.jvp(at, (state.displacement, state.velocity, state.spin), (moved, velocity, spin))[1]
 
 
-def _pressed(params: Params, network: Network, touching_within: float, squeeze: float | None, dt):
+def _pressed(params: Params, network: ContactList, touching_within: float, squeeze: float | None, dt):
     """The network with all that is closed pressed together, and the platens' heights; contacts and plates each by
     itself, so that no place of the balls need answer to all."""
     radius, overlap = np.asarray(network.radius), np.asarray(network.overlap)

@@ -1,4 +1,5 @@
-"""What all materials of balls have in common; `axijax.mechanics.linear` and `axijax.mechanics.hertz` are the two that come with it.
+"""What all materials of balls have in common; `axijax.mechanics.linear` and `axijax.mechanics.hertz` are the two that
+come with it.
 
 A material is a tree of parts, and a part that is None is not there: not compiled, not stored, not differentiated. So
 `Linear(friction=None)` has no tangential springs and nothing spins, and `Linear(damping=None)` no dashpots.
@@ -15,7 +16,7 @@ from axijax.mechanics.damping import UNDAMPED, Damping, Dashpot
 from axijax.mechanics.rolling import Rolling, Torsion
 
 if TYPE_CHECKING:
-    from axijax.mechanics.contact_list import Network
+    from axijax.mechanics.contact_list import ContactList
     from axijax.mechanics.contacts import ContactLaw
     from axijax.mechanics.walls import WallLaw
 
@@ -64,26 +65,26 @@ class Material:
         """Mass of a ball over its radius cubed [M/L^3]."""
         return self.density * (4 / 3) * jnp.pi
 
-    def contact_friction(self, network: "Network"):
+    def contact_friction(self, network: "ContactList"):
         """Friction coefficient of the contacts: one, or the mean of the two balls' where given per ball [-]."""
         friction: Any = self.friction
         if jnp.ndim(friction) == 0:
             return friction
         return 0.5 * (friction[network.first] + friction[network.second])
 
-    def contact_law(self, network: "Network") -> "ContactLaw":
+    def contact_law(self, network: "ContactList") -> "ContactLaw":
         """The law of the contacts of balls."""
         raise NotImplementedError
 
-    def wall_law(self, network: "Network") -> "WallLaw":
+    def wall_law(self, network: "ContactList") -> "WallLaw":
         """The law of the balls' contacts with plates, all of the balls' material."""
         raise NotImplementedError
 
-    def confined_stiffness(self, network: "Network", stress) -> tuple[Any, Any]:
+    def confined_stiffness(self, network: "ContactList", stress) -> tuple[Any, Any]:
         """Normal and tangential tangent stiffness [F/L] of the mean contact under a confining stress."""
         raise NotImplementedError
 
-    def stiffest(self, network: "Network", stress, touching_within: float):
+    def stiffest(self, network: "ContactList", stress, touching_within: float):
         """For the critical time step (host): tangent stiffness of the contacts if closed, normal and tangential, (C,)
         or numbers, and that of the contacts of one plate, both, as a function of the balls that touch it, its area and
         their overlaps [F/L]. None where it is to be found from the forces, which takes longer; so of a subclass that

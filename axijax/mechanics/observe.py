@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from axijax.core.sector import radial_distance
 from axijax.core.vector import Vector
-from axijax.mechanics.contact_list import Network
+from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.contacts import Geometry, geometry
 from axijax.mechanics.dynamics import Forces, Scene, all_forces, next_motion, positions
 from axijax.mechanics.membrane import Load, Membrane, lateral_force, membrane_radius
@@ -46,7 +46,7 @@ class Observation(NamedTuple):
 
 
 def observe(
-    scene: Scene, params: Params, network: Network, membrane: Membrane, load: Load, dt, state: State
+    scene: Scene, params: Params, network: ContactList, membrane: Membrane, load: Load, dt, state: State
 ) -> Observation:
     """Measure a state; arguments as in `axijax.mechanics.dynamics.all_forces`."""
     forces = all_forces(scene, params, network, load, dt, state)
@@ -88,7 +88,7 @@ def observe(
     )
 
 
-def at_coulomb_limit(params: Params, network: Network, force: Vector, normal: Vector) -> jax.Array:
+def at_coulomb_limit(params: Params, network: ContactList, force: Vector, normal: Vector) -> jax.Array:
     """Which contacts slide, by their forces and normals, (C,) vectors; the cap is a product of rounded numbers."""
     normal_force = force.dot(normal)
     tangential = force - normal * normal_force
@@ -96,7 +96,7 @@ def at_coulomb_limit(params: Params, network: Network, force: Vector, normal: Ve
     return tangential.dot(tangential) >= limit**2
 
 
-def chatter(params: Params, network: Network, dt, state: State, forces: Forces, pair: Geometry, normal):
+def chatter(params: Params, network: ContactList, dt, state: State, forces: Forces, pair: Geometry, normal):
     """How far contacts move to and fro from one step to the next, against what their springs hold [-].
 
     -sum(u . u') / sum(s^2) over the touching contacts, u and u' being the slips of this step and of the next, s the
@@ -139,7 +139,7 @@ def in_core(place: Vector, radius, platens) -> jax.Array:
     return (radial_distance(place) < radius / 2) & (jnp.abs(place.z - middle) < 0.3 * height)
 
 
-def core_stress_ratio(network: Network, forces: Forces, normal, place, radius, platens) -> jax.Array:
+def core_stress_ratio(network: ContactList, forces: Forces, normal, place, radius, platens) -> jax.Array:
     """Vertical over mean horizontal Love-Weber stress of the inner core; the mean is the same for all images.
 
     Each ball adds force times arm of its own half of a contact; the core's volume drops out of the ratio.

@@ -1,6 +1,7 @@
 """Contact list and membrane built again on the host, in the shapes that they have where these suffice.
 
-A new shape is compiled anew, so lists of random packings have room to spare. `axijax.mechanics.contact_search` rebuilds inside jit.
+A new shape is compiled anew, so lists of random packings have room to spare. `axijax.mechanics.contact_search` rebuilds
+inside jit.
 """
 
 from dataclasses import replace
@@ -9,7 +10,7 @@ import numpy as np
 
 from axijax.core.sector import Sector
 from axijax.core.vector import zeros
-from axijax.mechanics.contact_list import Network, build_network, carry_memory
+from axijax.mechanics.contact_list import ContactList, build_contact_list, carry_memory
 from axijax.mechanics.dynamics import positions
 from axijax.mechanics.membrane import Membrane, build_membrane
 from axijax.mechanics.outer_balls import zone_found_again
@@ -17,7 +18,7 @@ from axijax.mechanics.state import State
 from axijax.specimen.specimen import Specimen
 
 
-def rebuilt(cut: Specimen, lists: tuple[Network, Membrane], state: State, largest_overlap: float = 0.5):
+def rebuild_on_host(cut: Specimen, lists: tuple[ContactList, Membrane], state: State, largest_overlap: float = 0.5):
     """Contact list and membrane built again from the current positions, and the state that goes with them (host).
 
     Every ball keeps its number and its image. The arrays keep their shapes where they are large enough, or else are
@@ -35,7 +36,7 @@ def rebuilt(cut: Specimen, lists: tuple[Network, Membrane], state: State, larges
     return (new, surface), state._replace(displacement=still, memory=carry_memory(network, new, state.memory))
 
 
-def specimen_now(cut: Specimen, network: Network, membrane: Membrane, state: State) -> Specimen:
+def specimen_now(cut: Specimen, network: ContactList, membrane: Membrane, state: State) -> Specimen:
     """A test's balls, platens and membrane zone as they are in a state (host)."""
     bottom, top = (float(height) for height in state.platens)
     zone = np.isin(np.arange(len(cut)), np.asarray(membrane.zone))
@@ -45,7 +46,7 @@ def specimen_now(cut: Specimen, network: Network, membrane: Membrane, state: Sta
 
 def roomy_lists(
     specimen: Specimen, sector: Sector, dtype=np.float64, largest_overlap: float = 0.05
-) -> tuple[Network, Membrane]:
+) -> tuple[ContactList, Membrane]:
     """Contact list and membrane with room for what a random packing will become (host).
 
     Rooms are those of a usual dense packing where these are enough, so that specimens of a kind, loose and dense, share
@@ -59,14 +60,16 @@ def roomy_lists(
     )
 
 
-def _list_in(width: int, contacts: int, specimen: Specimen, sector: Sector, skin, largest_overlap, dtype) -> Network:
+def _list_in(
+    width: int, contacts: int, specimen: Specimen, sector: Sector, skin, largest_overlap, dtype
+) -> ContactList:
     """Contact list of this shape where it fits, or else of one with room to spare."""
     try:
-        return build_network(specimen, sector, skin, width, contacts, largest_overlap, dtype)
+        return build_contact_list(specimen, sector, skin, width, contacts, largest_overlap, dtype)
     except ValueError:  # what else may be wrong is wrong again here
-        exact = build_network(specimen, sector, skin, largest_overlap=largest_overlap, dtype=dtype)
+        exact = build_contact_list(specimen, sector, skin, largest_overlap=largest_overlap, dtype=dtype)
         rooms = _room(exact.slot.shape[0], width, 1), _room(exact.first.size, contacts, 64)
-        return build_network(specimen, sector, skin, *rooms, largest_overlap, dtype)
+        return build_contact_list(specimen, sector, skin, *rooms, largest_overlap, dtype)
 
 
 def _membrane_in(triangles: int, balls: int, specimen: Specimen, sector: Sector, dtype) -> Membrane:

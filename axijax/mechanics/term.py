@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax
 
 from axijax.core.vector import Vector
-from axijax.mechanics.contact_list import Network
+from axijax.mechanics.contact_list import ContactList
 
 if TYPE_CHECKING:
     from axijax.core.sector import Sector
@@ -72,39 +72,39 @@ class Term:
     at t, `dt` is the time step."""
 
     # Whether it can make the motion stiffer or more viscous than contacts and walls do; if so the critical time step is
-    # found from the linearised forces (`axijax.mechanics.linearised`). Springs in its memory are seen there if `forces` lets them
-    # grow by this step's motion before it takes their force, as contacts do.
+    # found from the linearised forces (`axijax.mechanics.linearised`). Springs in its memory are seen there if `forces`
+    # lets them grow by this step's motion before it takes their force, as contacts do.
     stiffens = True
 
     def check(self, sector: "Sector") -> None:
         """Raise ValueError where it makes no sense in a sector."""
 
-    def init(self, params: "Params", network: Network) -> Memory:
+    def init(self, params: "Params", network: ContactList) -> Memory:
         """The memory before the first step."""
         return Memory()
 
-    def forces(self, params: "Params", network: Network, dt, state: "State", memory: Memory) -> Push:
+    def forces(self, params: "Params", network: ContactList, dt, state: "State", memory: Memory) -> Push:
         """Forces at t, from positions at t and velocities at t - dt/2."""
         raise NotImplementedError
 
     def spent(
-        self, params: "Params", network: Network, dt, state: "State", memory: Memory, push: Push, mean: "State"
+        self, params: "Params", network: ContactList, dt, state: "State", memory: Memory, push: Push, mean: "State"
     ) -> Spent:
         """Energy that passes through it during the step about t. memory: before the step; push: its `forces`; mean: a
         state whose velocities, spins and platen speeds are the means over the step."""
         return Spent()
 
-    def stored(self, params: "Params", network: Network, dt, state: "State", memory: Memory, push: Push) -> Stored:
+    def stored(self, params: "Params", network: ContactList, dt, state: "State", memory: Memory, push: Push) -> Stored:
         """Elastic energy at t - dt/2; arguments as for `spent`."""
         return Stored()
 
-    def pending(self, params: "Params", network: Network, dt, state: "State", memory: Memory, push: Push):
+    def pending(self, params: "Params", network: ContactList, dt, state: "State", memory: Memory, push: Push):
         """What the slip of the step before t has lost and `spent` has not booked yet, since only the forces at t tell
         [F L]."""
         return 0.0
 
 
-def share_of_sector(network: Network, power: jax.Array) -> jax.Array:
+def share_of_sector(network: ContactList, power: jax.Array) -> jax.Array:
     """Sum over the balls of what each contributes to one sector; power: (N,)."""
     return (power * network.weight).sum()
 

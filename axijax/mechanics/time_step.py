@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from axijax.mechanics.contact_list import Network
+from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.dynamics import Scene
 from axijax.mechanics.dynamics import spins as scene_spins
 from axijax.mechanics.linearised import Operators, closed_contacts, coordinates, linearised, plates
@@ -14,7 +14,7 @@ SAFE_STEP = 0.8
 DEFAULT_STEP = 0.6
 
 
-def critical_time_step(scene: Scene, params: Params, network: Network, touching_within: float = 1e-3) -> float:
+def critical_time_step(scene: Scene, params: Params, network: ContactList, touching_within: float = 1e-3) -> float:
     """Largest stable time step 2/omega (sqrt(1 + xi^2) - xi) of the actual network [T] (host).
 
     The least over all modes of the linearised system with every contact stuck, translations and spins together:
@@ -24,7 +24,8 @@ def critical_time_step(scene: Scene, params: Params, network: Network, touching_
 
     A stiffness that depends on the load is that at the load to come: `hertz.OVERLOAD` times the mean contact force
     under the confining stress, or at the overlap of the network where that is deeper. A scene with a term that
-    stiffens, or with a material that does not say how stiff it is, is linearised by `axijax.mechanics.linearised`, which takes
+    stiffens, or with a material that does not say how stiff it is, is linearised by `axijax.mechanics.linearised`,
+    which takes
     longer: a program is compiled.
     """
     operators = None
@@ -35,9 +36,11 @@ def critical_time_step(scene: Scene, params: Params, network: Network, touching_
     return _limit(operators, network.radius.size)
 
 
-def springs_and_dashpots(scene: Scene, params: Params, network: Network, touching_within: float) -> Operators | None:
-    """What `axijax.mechanics.linearised.linearised` finds of contacts and walls alone, written by hand; None where the material
-    does not say how stiff it is."""
+def springs_and_dashpots(
+    scene: Scene, params: Params, network: ContactList, touching_within: float
+) -> Operators | None:
+    """What `axijax.mechanics.linearised.linearised` finds of contacts and walls alone, written by hand; None where the
+    material does not say how stiff it is."""
     material = params.material
     found = material.stiffest(network, params.confining_stress, touching_within)
     if found is None:

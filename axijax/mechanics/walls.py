@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from axijax.core.sector import plane_normals
 from axijax.core.vector import Vector, zeros
 from axijax.mechanics import capped_spring
-from axijax.mechanics.contact_list import Network
+from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.term import Memory, Push, Spent, Stored, Term, share_of_sector
 
 
@@ -92,7 +92,9 @@ class WallForces(NamedTuple):
     springs: tuple[Vector | None, ...]
 
 
-def planes(network: Network, displacement: Vector, platens, platen_speeds, platen_friction=None) -> tuple[Plane, ...]:
+def planes(
+    network: ContactList, displacement: Vector, platens, platen_speeds, platen_friction=None
+) -> tuple[Plane, ...]:
     """Bottom platen, top platen and, between rigid planes, the two sector planes.
 
     displacement: (N,) of the balls [L]; platens, platen_speeds: (2,) heights [L] and velocities, upward positive.
@@ -128,7 +130,7 @@ class WallTerm(Term):
 
     stiffens = False
 
-    def planes(self, params, network: Network, state, displacement=None, platens=None) -> tuple[Plane, ...]:
+    def planes(self, params, network: ContactList, state, displacement=None, platens=None) -> tuple[Plane, ...]:
         """The planes at a state, or with balls and platens somewhere else."""
         displacement = state.displacement if displacement is None else displacement
         platens = state.platens if platens is None else platens
@@ -219,16 +221,16 @@ class WallTerm(Term):
                 viscous += (held - elastic).dot(plane.slip_rate(mean.velocity, mean.spin, network.radius))
         return share_of_sector(network, lost), viscous
 
-    def _before(self, params, network: Network, dt, state) -> tuple[Plane, ...]:
+    def _before(self, params, network: ContactList, dt, state) -> tuple[Plane, ...]:
         """The planes at t - dt."""
         return self.planes(
             params, network, state, state.displacement - state.velocity * dt, state.platens - state.platen_speeds * dt
         )
 
-    def _springs(self, network: Network, memory: Memory):
+    def _springs(self, network: ContactList, memory: Memory):
         return memory.ball or (None, None, *_smooth_planes(network))
 
 
-def _smooth_planes(network: Network) -> tuple[None, ...]:
+def _smooth_planes(network: ContactList) -> tuple[None, ...]:
     """A place for each sector plane, which has no springs."""
     return (None, None) if network.sector.boundary == "rigid" else ()

@@ -23,7 +23,8 @@ class Specimen:
     bottom, top: heights of the two platens' inner faces [L].
     membrane_zone: (N,) bool, the outer balls that carry the membrane.
     name: what it is, for labels.
-    zone_rule: "given" for a zone that is kept, or "exposure" for the outer balls found by `axijax.mechanics.outer_balls.outer_balls`,
+    zone_rule: "given" for a zone that is kept, or "exposure" for the outer balls found by
+        `axijax.mechanics.outer_balls.outer_balls`,
         which are found again as the specimen deforms, and whose mean distance from the axis is Rm.
 
     Raises ValueError where an array has the wrong shape, is empty or not finite, a radius is not positive, a

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-# The lengths of the arrays, as the docstrings of Network, Membrane, State and Progress state them: N balls, C contacts,
-# K slots, Z balls of the membrane's zone, T triangles, R records. Arrays that are not named here are held to the number
-# of dimensions of the test's own.
+# The lengths of the arrays, as the docstrings of ContactList, Membrane, State and Progress state them: N balls, C
+# contacts, K slots, Z balls of the membrane's zone, T triangles, R records. Arrays that are not named here are held to
+# the number of dimensions of the test's own.
 LENGTHS: dict[str, tuple[tuple[str | int, ...], ...]] = {
     r"network\.(first|second|image|cos|sin|branch\..|distance|overlap|share)": (("C",),),
     r"network\.pair_cube": ((), ("C",)),

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 
 from axijax.core.sector import radial_distance
 from axijax.core.status import ESCAPED, NOT_FINITE, STALE_CELLS, STALE_LIST
-from axijax.mechanics.contact_list import Network, closing
-from axijax.mechanics.contact_search import renew
+from axijax.mechanics.contact_list import ContactList, closing
+from axijax.mechanics.contact_search import rebuild_in_jit
 from axijax.mechanics.dynamics import Scene, make_step, positions
 from axijax.mechanics.membrane import Load, Membrane, membrane_load
 from axijax.mechanics.observe import Observation, observe
@@ -29,7 +29,7 @@ STRIDE = 10  # steps between looks at how far the balls have moved
 # strain has sound balls at 1.5.
 OUTSIDE = 2.0
 
-Lists = tuple[Network, Membrane]
+Lists = tuple[ContactList, Membrane]
 
 
 def march(
@@ -58,7 +58,7 @@ def march(
     def stretch(carry, _):
         lists, state = carry
         state, seen, status = march(scene, path, rebuild_every, record_every, 0, lists, dt, params, state, fixed)
-        *lists, state = renew(*lists, state)
+        *lists, state = rebuild_in_jit(*lists, state)
         return (tuple(lists), state), (seen, status | lists[0].status)
 
     (_, state), kept = jax.lax.scan(stretch, (lists, state), None, length=-(-records // rebuild_every))
@@ -69,11 +69,11 @@ def march(
 def _block(scene: Scene, path: Path, record_every: int, lists: Lists, dt, params: Params, start: State, fixed):
     """A scan's body: observes a state, and takes it `record_every` steps further."""
     network, membrane = lists
-    step, look = _step_and_look(scene, path, lists, dt, params, start)
+    step, observe_and_check = _step_and_observe_and_check(scene, path, lists, dt, params, start)
 
     def block(state, _):
         load = current_load(membrane, network, state, fixed)
-        seen = look(state, load)
+        seen = observe_and_check(state, load)
         return jax.lax.scan(lambda s, _: (step(load, s), None), state, None, length=record_every)[0], seen
 
     return block
@@ -124,7 +124,7 @@ def march_until(
         that it goes on at least a little whatever they look like.
     """
     network, membrane = lists
-    step, look = _step_and_look(scene, path, lists, dt, params, state)
+    step, observe_and_check = _step_and_observe_and_check(scene, path, lists, dt, params, state)
 
     def going(carry):
         now, _ = carry
@@ -144,7 +144,7 @@ def march_until(
             state = jax.lax.fori_loop(0, now.due, lambda _, s: step(load, s), now.state)
             taken = now.due
         load = current_load(membrane, network, state, fixed)
-        found, status = look(state, load)
+        found, status = observe_and_check(state, load)
         due = now.due - taken
         seen = now.seen
         if records is not None:
@@ -165,7 +165,7 @@ def march_until(
         ), load
 
     load = current_load(membrane, network, state, fixed)
-    shape, _ = jax.eval_shape(look, state, load)
+    shape, _ = jax.eval_shape(observe_and_check, state, load)
     empty = None
     if records is not None:
         empty = jax.tree.map(lambda value: jnp.zeros((records, *value.shape), value.dtype), shape)
@@ -178,7 +178,7 @@ def march_until(
     return jax.lax.while_loop(going, further, (begun, load))[0]
 
 
-def _step_and_look(scene: Scene, path: Path, lists: Lists, dt, params: Params, start: State):
+def _step_and_observe_and_check(scene: Scene, path: Path, lists: Lists, dt, params: Params, start: State):
     """A step of the stage, (load, state) -> state; and what is observed of a state and its load, with status bits."""
     network, membrane = lists
     scene, params = path.scene(scene), path.params(params, network, membrane, start.platens)
@@ -187,13 +187,13 @@ def _step_and_look(scene: Scene, path: Path, lists: Lists, dt, params: Params, s
     def step(load: Load, state: State) -> State:
         return one(params, network, load, dt, state)
 
-    def look(state: State, load: Load):
-        return observe(scene, params, network, membrane, load, dt, state), trouble(network, membrane, state, load)
+    def observe_and_check(state: State, load: Load):
+        return observe(scene, params, network, membrane, load, dt, state), status_bits(network, membrane, state, load)
 
-    return step, look
+    return step, observe_and_check
 
 
-def current_load(membrane: Membrane, network: Network, state: State, fixed: Load | None = None) -> Load:
+def current_load(membrane: Membrane, network: ContactList, state: State, fixed: Load | None = None) -> Load:
     """The load of the membrane at the current positions, or the one that is given."""
     if fixed is not None:
         return fixed
@@ -210,16 +210,18 @@ def fixed_load(refresh: bool, given: Load | None, lists: Lists, start: State) ->
     return given
 
 
-def wear(network: Network, state: State, load: Load) -> jax.Array:
+def wear(network: ContactList, state: State, load: Load) -> jax.Array:
     """How far the lists have aged, contact list or membrane, as a share of where they need a rebuild."""
     return jnp.maximum(_list_wear(network, state), load.stale / (WORN_CELLS * STALE))
 
 
-def _list_wear(network: Network, state: State) -> jax.Array:
+def _list_wear(network: ContactList, state: State) -> jax.Array:
     return closing(network, state.displacement) / (WORN * network.skin)
 
 
-def until_balls_moved(step, network: Network, dt, most, state: State, every: bool = True) -> tuple[State, jax.Array]:
+def until_balls_moved(
+    step, network: ContactList, dt, most, state: State, every: bool = True
+) -> tuple[State, jax.Array]:
     """A state after `most` steps, or fewer where the contact list is worn before; and how many it took, at least one.
 
     It looks once a stride. every: it looks at every step whether a ball flies so fast (a small one that the membrane
@@ -247,7 +249,7 @@ def until_balls_moved(step, network: Network, dt, most, state: State, every: boo
     return jax.lax.while_loop(going, stride, (state, jnp.zeros((), jnp.int32)))
 
 
-def trouble(network: Network, membrane: Membrane, state: State, load: Load) -> jax.Array:
+def status_bits(network: ContactList, membrane: Membrane, state: State, load: Load) -> jax.Array:
     """Status bits of one state."""
     place = positions(network, state)
     rho = radial_distance(place)

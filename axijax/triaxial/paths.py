@@ -1,8 +1,8 @@
 """Paths: how a stage of a test moves the platens, and when it is done.
 
 A path is a pytree of its own numbers. From outside the package: subclass `Path`, register it as a dataclass, and put it
-into a prepared test (`axijax.triaxial.prepare.Prepared.shear`) or give it to `axijax.triaxial.engine`: `march_until` asks it when it is
-done, `march` makes as many records as it is told to.
+into a prepared test (`axijax.triaxial.prepare.Prepared.shear`) or give it to `axijax.triaxial.engine`: `march_until`
+asks it when it is done, `march` makes as many records as it is told to.
 """
 
 from dataclasses import dataclass, replace
@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from axijax.core.tree import pytree
-from axijax.mechanics.contact_list import Network
+from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.damping import BackgroundDamping
 from axijax.mechanics.dynamics import Scene
 from axijax.mechanics.membrane import Membrane
@@ -28,11 +28,11 @@ class Path:
         """What is modelled during the stage, of a test's scene."""
         return scene
 
-    def params(self, params: Params, network: Network, membrane: Membrane, platens: jax.Array) -> Params:
+    def params(self, params: Params, network: ContactList, membrane: Membrane, platens: jax.Array) -> Params:
         """The parameters during the stage, of the test's; platens: (2,) heights when the lists were built [L]."""
         return params
 
-    def platen_speeds(self, params: Params, network: Network, dt, state: State, push, section) -> jax.Array:
+    def platen_speeds(self, params: Params, network: ContactList, dt, state: State, push, section) -> jax.Array:
         """(2,) velocities of the platens at t + dt/2, upward positive [L/T].
 
         push: (2,) forces of the balls on bottom and top platen; section: area that the platens load, both at t.
@@ -127,11 +127,9 @@ class Compression(Path):
         return jnp.array([1.0, -1.0], push.dtype) * params.platen_speed * x * x * (3 - 2 * x)
 
 
-def wave_speed(params: Params, network: Network):
+def wave_speed(params: Params, network: ContactList):
     """P-wave speed of a close packing with stuck contacts, 2 r sqrt((kn + ks)/m) [L/T]; sets ramps and damping."""
     radius = network.radius.mean()
     mass = params.material.mass_per_cube * radius**3
     normal, shear = params.material.confined_stiffness(network, params.confining_stress)
     return 2 * radius * ((normal + shear) / mass) ** 0.5
-
-

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from axijax.mechanics.contact_list import Network, build_network
+from axijax.mechanics.contact_list import ContactList, build_contact_list
 from axijax.mechanics.contact_search import grid_for
 from axijax.mechanics.dynamics import Scene
 from axijax.mechanics.membrane import Load, Membrane, build_membrane, check_load
@@ -50,7 +50,7 @@ class Prepared:
     scene, numerics: static.
     """
 
-    network: Network
+    network: ContactList
     membrane: Membrane
     platens: jax.Array
     time_step: jax.Array | float
@@ -61,7 +61,7 @@ class Prepared:
     numerics: Numerics = field(metadata={"static": True})
 
     @property
-    def lists(self) -> tuple[Network, Membrane]:
+    def lists(self) -> tuple[ContactList, Membrane]:
         return self.network, self.membrane
 
 
@@ -96,7 +96,7 @@ def prepare(test: "TriaxialTest") -> Prepared:
         if test.rebuild_every:
             network = replace(network, grid=grid_for(network))
     else:
-        network = build_network(cut, sector, dtype=test.dtype)
+        network = build_contact_list(cut, sector, dtype=test.dtype)
         membrane = build_membrane(cut, sector, dtype=test.dtype)
     step = test.time_step
     if step is None or not test.allow_unsafe_step:
@@ -132,5 +132,3 @@ def prepare(test: "TriaxialTest") -> Prepared:
             rebuild_every=test.rebuild_every,
         ),
     )
-
-

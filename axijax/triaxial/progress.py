@@ -6,12 +6,12 @@ import jax
 import numpy as np
 
 from axijax.core.status import NOT_CONFINED
-from axijax.mechanics.contact_list import Network
+from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.dynamics import positions
 from axijax.mechanics.membrane import Load, Membrane
 from axijax.mechanics.observe import Observation
 from axijax.mechanics.params import Params, check_params
-from axijax.mechanics.rebuild import rebuilt
+from axijax.mechanics.rebuild import rebuild_on_host
 from axijax.mechanics.state import State
 from axijax.mechanics.time_step import check_step, critical_time_step
 from axijax.triaxial.engine import fixed_load, march_until
@@ -35,7 +35,7 @@ class Progress(NamedTuple):
     """
 
     params: Params
-    network: Network
+    network: ContactList
     membrane: Membrane
     state: State
     fixed: Load | None
@@ -47,7 +47,7 @@ class Progress(NamedTuple):
     worn: bool = False
 
     @property
-    def lists(self) -> tuple[Network, Membrane]:
+    def lists(self) -> tuple[ContactList, Membrane]:
         return self.network, self.membrane
 
     @property
@@ -92,7 +92,7 @@ def go_on(test: "TriaxialTest", now: Progress) -> Progress:
     prepared = test.prepared
     lists, state = now.lists, now.state
     if now.worn:
-        lists, state = rebuilt(test.cut, lists, state)
+        lists, state = rebuild_on_host(test.cut, lists, state)
     widely_graded = bool(test.cut.radius.max() > 2 * test.cut.radius.min())
     reached = march_until(
         test.scene, -(-SEGMENT // test.record_every), test.record_every, True, widely_graded, prepared.shear, lists,
@@ -119,7 +119,7 @@ class Run(NamedTuple):
     """What a run leaves: its curve, and the last contact list, membrane and state."""
 
     curve: Curve
-    network: Network
+    network: ContactList
     membrane: Membrane
     state: State
 

@@ -132,9 +132,9 @@ def random_cylinder(
     tolerance: unbalanced force and stress error at which compaction ends [-]. most_steps: allowed for it.
 
     Raises ValueError for arguments that make no sense or are not supported (a fraction of the grading that gets no
-    ball, sizes too wide apart, contacts too soft: see `axijax.triaxial.feasible`), and for a void ratio that cannot be reached,
-    with the range that can; RuntimeError where compaction did not reach its tolerance. Warns where the balls miss the
-    mass of a fraction by more than `grading.WELL_MET` of the whole.
+    ball, sizes too wide apart, contacts too soft: see `axijax.triaxial.feasible`), and for a void ratio that cannot be
+    reached, with the range that can; RuntimeError where compaction did not reach its tolerance. Warns where the balls
+    miss the mass of a fraction by more than `grading.WELL_MET` of the whole.
     """
     require_64_bits()
     grading = linear(16.0, 24.0) if grading is None else grading

@@ -9,7 +9,7 @@ from axijax.mechanics.contact_list import closing
 from axijax.mechanics.dynamics import Scene, initial_state
 from axijax.mechanics.membrane import Load
 from axijax.mechanics.params import Params
-from axijax.mechanics.rebuild import rebuilt
+from axijax.mechanics.rebuild import rebuild_on_host
 from axijax.mechanics.state import State
 from axijax.specimen.specimen import Specimen
 from axijax.triaxial.engine import Lists, Stretch, fixed_load, march, march_until
@@ -68,7 +68,7 @@ def settle(
             )
         if not path.going(reached.watched, reached.steps):
             return lists, state, balance
-        lists, state = rebuilt(cut, lists, state)
+        lists, state = rebuild_on_host(cut, lists, state)
         steps = int(balance.steps)
 
 
@@ -103,5 +103,3 @@ def simulate(prepared: Prepared, params: Params) -> Curve:
     status = jnp.bitwise_or.reduce(status) | jnp.where(settled, 0, NOT_CONFINED)
     status |= jnp.where(senseless(params), SENSELESS, 0)
     return make_curve(seen, balance, status)
-
-

@@ -5,9 +5,9 @@
    a wave of rho c v through the specimen), the membrane's cells are refreshed with every record, and whenever the
    lists are made anew.
 
-`TriaxialTest` is what was asked, and cheap to make and to replace. `axijax.triaxial.prepare` makes lists and time step of it;
-its `simulate` is a pure function Params -> Curve for jit, vmap and jvp; its `run` rebuilds lists where needed, and adds
-checks and a sentence for whatever went wrong.
+`TriaxialTest` is what was asked, and cheap to make and to replace. `axijax.triaxial.prepare` makes lists and time step
+of it; its `simulate` is a pure function Params -> Curve for jit, vmap and jvp; its `run` rebuilds lists where needed,
+and adds checks and a sentence for whatever went wrong.
 """
 
 import time
@@ -21,7 +21,7 @@ import numpy as np
 from axijax.core.platform import require_64_bits, warn_where_batched
 from axijax.core.quantity import setting, settings
 from axijax.core.sector import Sector
-from axijax.mechanics.contact_list import Network
+from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.dynamics import Scene
 from axijax.mechanics.membrane import Load, Membrane
 from axijax.mechanics.params import Params, check_params
@@ -106,7 +106,7 @@ class TriaxialTest:
         return prepare(self)
 
     @property
-    def network(self) -> Network:
+    def network(self) -> ContactList:
         """The contact list before the first step."""
         return self.prepared.network
 
@@ -118,10 +118,10 @@ class TriaxialTest:
     def simulate(self, params: Params) -> Curve:
         """The whole test as a pure function of its parameters, for jax.jit, jax.vmap and jax.jvp.
 
-        For many parameter sets see `axijax.app.batch.simulate_many`: on a CPU, vmap over parameters is slow, and warned of.
-        One contact list serves the whole test, to about 2 % strain of a regular array and less than 1 % of many random
-        balls, unless `rebuild_every` asks for more. Look at `status` of what comes back, or call `raise_for_status`;
-        parameters that make no sense raise ValueError, or set a status bit where they are traced.
+        For many parameter sets see `axijax.app.batch.simulate_many`: on a CPU, vmap over parameters is slow, and warned
+        of. One contact list serves the whole test, to about 2 % strain of a regular array and less than 1 % of many
+        random balls, unless `rebuild_every` asks for more. Look at `status` of what comes back, or call
+        `raise_for_status`; parameters that make no sense raise ValueError, or set a status bit where they are traced.
         """
         require_64_bits()
         check_params(params, len(self.cut))
@@ -144,7 +144,8 @@ class TriaxialTest:
 
         progress: called with where the test stands: once before the first step of the shear, then about every 1000, and
             whenever the lists are made anew.
-        start: go on from here, see `axijax.triaxial.checkpoint.load_progress`, instead of confining; its parameters are used.
+        start: go on from here, see `axijax.triaxial.checkpoint.load_progress`, instead of confining; its parameters are
+            used.
         checkpoint: file to which the progress is written now and then, at the end and at an interruption (Ctrl-C).
 
         Raises ValueError for bad parameters, and SimulationError with the remedy for a run that went wrong.
