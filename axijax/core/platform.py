@@ -160,8 +160,8 @@ def _batched(values, axes):
     if jax.default_backend() == "cpu":
         warnings.warn(
             "jax.vmap over the parameters of a test is slower on a CPU than one test after another (two to ten times): "
-            "use axijax.app.batch.simulate_many(test, params), which is differentiable too, or
-            axijax.app.batch.run_batch.", stacklevel=2,
+            "use axijax.batch.simulate_many(test, params), which is differentiable too, or axijax.batch.run_batch.",
+            stacklevel=2,
         )
     return _seen.bind(*values), axes
 

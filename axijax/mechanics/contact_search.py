@@ -244,8 +244,9 @@ def _neighbours(grid: Grid, network: ContactList, positions: Vector):
 
 def _pair_up(network: ContactList, near):
     """The contacts (C,), and the tables (K, N) of contact, side and turn; see
-    `axijax.mechanics.contact_list._pair_up`.""" images, balls, width = network.sector.images, network.radius.size,
-    near.shape[0] listed = near < balls * images
+    `axijax.mechanics.contact_list._pair_up`."""
+    images, balls, width = network.sector.images, network.radius.size, near.shape[0]
+    listed = near < balls * images
     i = jnp.broadcast_to(jnp.arange(balls, dtype=near.dtype), near.shape)
     j, k = jnp.where(listed, near // images, 0), near % images
     back = -k % images

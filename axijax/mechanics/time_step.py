@@ -25,8 +25,7 @@ def critical_time_step(scene: Scene, params: Params, network: ContactList, touch
     A stiffness that depends on the load is that at the load to come: `hertz.OVERLOAD` times the mean contact force
     under the confining stress, or at the overlap of the network where that is deeper. A scene with a term that
     stiffens, or with a material that does not say how stiff it is, is linearised by `axijax.mechanics.linearised`,
-    which takes
-    longer: a program is compiled.
+    which takes longer: a program is compiled.
     """
     operators = None
     if not any(term.stiffens for term in params.terms):
