@@ -44,7 +44,7 @@ def hertz_params(**changes) -> Params:
     return Params(material, **({"confining_stress": 1.0} | changes))
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Pull(Term):
     """A constant force along z on every ball: the least that a further term can be."""
@@ -53,11 +53,11 @@ class Pull(Term):
 
     stiffens = False
 
-    def forces(self, network, dt, state, memory) -> Push:
+    def forces(self, params, network, dt, state, memory) -> Push:
         still = jnp.zeros_like(network.radius)
         return Push(Vector(still, still, still + self.pull))
 
-    def spent(self, network, dt, state, memory, push, mean) -> Spent:
+    def spent(self, params, network, dt, state, memory, push, mean) -> Spent:
         return Spent(work=dt * share_of_sector(network, push.force.dot(mean.velocity)))
 
 
