@@ -13,6 +13,7 @@ import numpy as np
 
 from axijax import Hertz, Linear, Params, Scene, Sector, Specimen
 from axijax.core.quantity import quantity
+from axijax.core.tree import pytree
 from axijax.core.vector import Vector, from_rows
 from axijax.mechanics.contact_list import ContactList, build_contact_list
 from axijax.mechanics.dynamics import initial_state, make_step

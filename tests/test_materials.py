@@ -12,6 +12,7 @@ from few_balls import SCENE, Pull, few_balls, hertz_params, no_load, record, run
 
 from axijax import BackgroundDamping, Dashpot, Hertz, Linear, LocalDamping, Params, Sector, Specimen
 from axijax.core.quantity import present, quantity
+from axijax.core.tree import pytree
 from axijax.mechanics.contact_list import build_contact_list
 from axijax.mechanics.dynamics import all_forces, initial_state
 from axijax.mechanics.params import check_params
@@ -204,7 +205,7 @@ def test_a_batch_of_trees_is_a_tree_of_batches():
 # A material from outside.
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Swollen(Linear):
     """Linear contacts that are stiffer by a factor of their own."""
