@@ -67,7 +67,9 @@ def _section(name: str, source: type) -> Any:
     made: dict[str, Any] = {}
     for each, about in settings(source).items():
         kind, default = hints[each], source.__dataclass_fields__[each].default  # type: ignore[attr-defined]
-        told: dict[str, Any] = {"description": about.description, **bounds(about)}
+        told: dict[str, Any] = {"description": about.description}
+        if {int, float} & {kind, *get_args(kind)}:  # words and switches have no bounds
+            told |= bounds(about)
         if each in LEFT_OUT:
             kind, default = kind | None, None
             told["description"] += f"; {LEFT_OUT[each]}"

@@ -106,6 +106,11 @@ class TriaxialTest:
         return prepare(self)
 
     @property
+    def derived(self) -> dict[str, float]:
+        """What the settings leave to a rule of this program, for `axijax.core.fingerprint`."""
+        return {"time_step": float(self.prepared.time_step), "ramp_time": float(self.prepared.shear.ramp_time)}
+
+    @property
     def network(self) -> ContactList:
         """The contact list before the first step."""
         return self.prepared.network
