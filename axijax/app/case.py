@@ -18,6 +18,7 @@ they exist once.
 """
 
 import inspect
+import math
 import re
 import textwrap
 from functools import lru_cache
@@ -178,6 +179,13 @@ class Case(Section):
         check_used(self.scene, self.parameters)
         return self
 
+    @model_serializer(mode="wrap")
+    def _of_its_scene(self, dump) -> dict[str, Any]:
+        sections = dump(self)
+        taken = self.scene.takes()
+        sections["parameters"] = {name: value for name, value in sections["parameters"].items() if name in taken}
+        return sections
+
     def build(self, specimen: Specimen | None = None) -> TriaxialTest:
         """The test. specimen: one that was made before, by `made`, and the case that `made` returned with it."""
         if specimen is None:
@@ -200,7 +208,7 @@ class Case(Section):
         """
         for section, values in self:
             for name, value in values:
-                if isinstance(value, float) and value != 0 and not LEAST <= abs(value) <= MOST:
+                if isinstance(value, float) and value != 0 and math.isfinite(value) and not LEAST <= abs(value) <= MOST:
                     raise ValueError(f"{section}.{name} = {value:g}: must lie between {LEAST:g} and {MOST:g} in size.")
         if self.specimen.kind != "random":
             return self, self.specimen.build(), None
