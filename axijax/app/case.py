@@ -299,7 +299,7 @@ def to_toml(case: Case) -> str:
                 allowed = _allowed(about)
             told = [about.description, allowed, "" if default is None else f"default {_toml(default)}"]
             text = "; ".join(part for part in told if part)
-            lines += textwrap.wrap(text, 110, initial_indent="# ", subsequent_indent="#   ")
+            lines += textwrap.wrap(text, 110, initial_indent="# ", subsequent_indent="#   ", break_on_hyphens=False)
             value = getattr(values, field)
             lines.append(f"# {field} =" if value is None else f"{field} = {_toml(value)}")
     return "\n".join(lines) + "\n"

@@ -93,8 +93,8 @@ def prepare(test: "TriaxialTest") -> Prepared:
     for part in parts_of(params.material):
         if isinstance(part, RotationResistance) and not (test.scene.rotation and params.material.frictional):
             raise ValueError(
-                f"{type(part).__name__.lower()} = {part!r}: would do nothing where no ball spins, with friction None or "
-                "Scene(rotation=False); leave it out."
+                f"{type(part).__name__.lower()} = {part!r}: would do nothing where no ball spins (friction None, or "
+                "Scene(rotation=False)); leave it out."
             )
     if cut.zone_rule == "exposure" or test.rebuild_every:
         # A random specimen was made under stress, which presses soft balls into one another.
