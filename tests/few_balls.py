@@ -13,6 +13,7 @@ import numpy as np
 
 from axijax import Hertz, Linear, Params, Scene, Sector, Specimen
 from axijax.core.quantity import quantity
+from axijax.core.tree import pytree
 from axijax.core.vector import Vector, from_rows
 from axijax.mechanics.contact_list import ContactList, build_contact_list
 from axijax.mechanics.dynamics import initial_state, make_step
@@ -44,7 +45,7 @@ def hertz_params(**changes) -> Params:
     return Params(material, **({"confining_stress": 1.0} | changes))
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Pull(Term):
     """A constant force along z on every ball: the least that a further term can be."""
@@ -53,11 +54,11 @@ class Pull(Term):
 
     stiffens = False
 
-    def forces(self, network, dt, state, memory) -> Push:
+    def forces(self, params, network, dt, state, memory) -> Push:
         still = jnp.zeros_like(network.radius)
         return Push(Vector(still, still, still + self.pull))
 
-    def spent(self, network, dt, state, memory, push, mean) -> Spent:
+    def spent(self, params, network, dt, state, memory, push, mean) -> Spent:
         return Spent(work=dt * share_of_sector(network, push.force.dot(mean.velocity)))
 
 

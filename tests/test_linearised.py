@@ -12,6 +12,7 @@ import pytest
 import axijax.mechanics.linearised
 from axijax import Hertz, Params, Scene, Sector, Specimen, TriaxialTest, fcc_octagon
 from axijax.core.quantity import quantity
+from axijax.core.tree import pytree
 from axijax.core.vector import Vector
 from axijax.mechanics.capped_spring import capped
 from axijax.mechanics.contact_list import build_contact_list
@@ -98,7 +99,7 @@ def by_forces(scene, params, network):
     return critical_time_step(scene, replace(params, material=Untold(**vars(params.material))), network)
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Untold(Linear):
     def stiffest(self, network, stress, touching_within):
@@ -113,7 +114,7 @@ def test_the_step_of_a_material_that_does_not_say_how_stiff_it_is(name):
     assert by_forces(scene, params, network) == pytest.approx(critical_time_step(scene, params, network), rel=1e-3)
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Tethers(Term):
     """A spring from every ball to its place at the start, and a dashpot beside it."""

@@ -12,6 +12,7 @@ from few_balls import SCENE, Pull, few_balls, hertz_params, no_load, record, run
 
 from axijax import BackgroundDamping, Dashpot, Hertz, Linear, LocalDamping, Params, Sector, Specimen
 from axijax.core.quantity import present, quantity
+from axijax.core.tree import pytree
 from axijax.mechanics.contact_list import build_contact_list
 from axijax.mechanics.dynamics import all_forces, initial_state
 from axijax.mechanics.params import check_params
@@ -127,7 +128,8 @@ def test_a_state_remembers_only_what_a_part_needs(make, boundary, planes):
             params = make(friction=friction, platen_friction=platens)
             state = initial_state(SCENE, params, network, [-9.0, 9.0])
             contacts, walls, lateral = state.memory
-            assert (state.spin is None) == (contacts.contact is None) == (state.spring is None) == (friction is None)
+            assert (contacts.contact is None) == (state.spring is None) == (friction is None)
+            assert (state.spin is None) == (friction is None and platens is None), "rough platens turn balls too"
             shapes = [None if spring is None else spring.x.shape for spring in walls.ball or [None] * planes]
             assert shapes == [None if platens is None else (1,)] * 2 + [None] * (planes - 2)
             assert jax.tree.leaves(lateral) == [] and walls.contact is None
@@ -204,7 +206,7 @@ def test_a_batch_of_trees_is_a_tree_of_batches():
 # A material from outside.
 
 
-@jax.tree_util.register_dataclass
+@pytree
 @dataclass(frozen=True)
 class Swollen(Linear):
     """Linear contacts that are stiffer by a factor of their own."""

@@ -77,7 +77,7 @@ forces_on = jit(all_forces, static_argnums=0)
 @jit
 def advance(steps, params, network, trap, state):
     """Steps with fixed platens in a harmonic trap of stiffness trap (N,)."""
-    step = make_step(SCENE, lambda params, state, dt, push, area: jnp.zeros(2))
+    step = make_step(SCENE, lambda params, network, dt, state, push, area: jnp.zeros(2))
 
     def one(_, state):
         areas = trap * radial_distance(positions(network, state))

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+import jax
 import numpy as np
 
 from axijax.core.platform import require_64_bits, warn_where_batched
@@ -103,7 +104,8 @@ class TriaxialTest:
     @cached_property
     def prepared(self) -> Prepared:
         """Lists, time step and paths, made once; see `axijax.triaxial.prepare`."""
-        return prepare(self)
+        with jax.ensure_compile_time_eval():  # it may be asked for first inside a trace
+            return prepare(self)
 
     @property
     def network(self) -> ContactList:
