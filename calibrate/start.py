@@ -126,10 +126,15 @@ def corrected_by_run(evaluator, evaluation, prior_rows) -> np.ndarray | None:
 
 
 def _within(parameters, values) -> np.ndarray:
-    low, high = parameters.lower, parameters.upper
-    margin = (high / low) ** 0.02
-    kept = {
-        name: float(np.clip(values.get(name, parameters.reference[name]), low[p] * margin[p], high[p] / margin[p]))
-        for p, name in enumerate(parameters.names)
-    }
+    """(P,) coordinates of these values, or the reference, a little inside the limits."""
+    kept = {}
+    for name, about, low, high in zip(
+        parameters.names, parameters.about, parameters.lower, parameters.upper, strict=True
+    ):
+        if about.coordinate == "linear":
+            inside = low + 0.02 * (high - low), high - 0.02 * (high - low)
+        else:
+            margin = (high / low) ** 0.02
+            inside = low * margin, high / margin
+        kept[name] = float(np.clip(values.get(name, parameters.reference[name]), *inside))
     return parameters.coordinates(kept)

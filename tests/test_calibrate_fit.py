@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from calibrate_standin import StandIn, measured
 
-from axijax import Params, Rolling
+from axijax import Gravity, Params, Rolling
 from axijax.specimen.specimen import fcc_octagon
 from axijax.theory import fcc_stress_ratio, stretched_stress_ratio
 from axijax.triaxial.test import TriaxialTest
@@ -278,6 +278,26 @@ def test_parameters_of_a_material_with_rolling_by_name():
     with pytest.raises(ValueError, match="rolling_friction = 0 in this test, .*: give its bounds"):
         ParameterSet.of(smooth, "f,eta_r")
     assert len(ParameterSet.of(smooth, "f,eta_r", {"eta_r": (0.05, 0.5)})) == 2
+
+
+def test_what_has_no_range_of_its_own_is_fitted_within_bounds():
+    """Gravity may be negative, a glued platen's friction is infinite: no factor of these is a range."""
+
+    class Falling(StandIn):
+        def simulate(self, params):
+            curve = super().simulate(params)
+            curve.stress_ratio = curve.stress_ratio - 0.02 * (params.gravity_z + 9.81)
+            return curve
+
+    simulator = Falling(params=Params(terms=(Gravity(),)))
+    data = measured(simulator, gravity_z=-4.0)
+    with pytest.raises(ValueError, match=r"gravity_z = -9\.81 in this test, .*: give its bounds"):
+        fit_parameters(simulator, data, "gravity_z")
+    with pytest.raises(ValueError, match="platen_friction = inf in this test, .*: give its bounds"):
+        ParameterSet.of(Params(platen_friction=np.inf), "platen_friction")
+    for start in ("rule", "test", {"gravity_z": 3.0}):
+        found = fit_parameters(simulator, data, "gravity_z", bounds={"gravity_z": (-20.0, 5.0)}, start=start)
+        assert found.estimate["gravity_z"] == pytest.approx(-4.0, abs=1e-3)
 
 
 @pytest.mark.slow
