@@ -129,7 +129,7 @@ class ParameterSet:
             ranged = each.coordinate == "logit" or (each.coordinate == "log" and 0 < reference[name] < np.inf)
             if name not in given and not ranged:
                 raise ValueError(
-                    f"{name} = {reference[name]:g} in this test, from which no range to fit in follows: give its bounds."
+                    f"{name} = {reference[name]:g} in this test, from which no range to fit in follows: give bounds."
                 )
             lower, upper = given.get(name, default_limits(name, each, reference[name]))
             top = each.top if each.coordinate == "logit" else each.below

@@ -52,7 +52,7 @@ def refused(log, *arguments, **options) -> str:
         ),
         ("specimen.positions", lambda test: {"specimen": fcc_octagon(layers=3, half_width=5)}),
         ("specimen.positions", lambda test: {"specimen": moved(test.specimen)}),  # as another seed's
-        ("params.material.friction (0.3 here, 0.12278 there)", lambda test: {"params": replace(test.params, friction=0.3)}),
+        ("material.friction (0.3 here, 0.12278 there)", lambda test: {"params": replace(test.params, friction=0.3)}),
         ("params.material.damping.damping_ratio", lambda test: {"params": replace(test.params, damping_ratio=0.04)}),
         ("axial_strain", lambda test: {"axial_strain": 0.003}),
         ("time_step", lambda test: {"time_step": 0.01}),

@@ -2,7 +2,6 @@
 
 from dataclasses import fields, replace
 from functools import partial
-from itertools import pairwise
 from unittest import mock
 
 import jax
