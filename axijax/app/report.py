@@ -21,7 +21,7 @@ from axijax.app import figures as pictures
 from axijax.app.case import SECTIONS, to_toml
 from axijax.app.checks import result_checks
 from axijax.app.plot import Measured, case_of, curve_figure, labels, thornton_ratio
-from axijax.app.results import LONG_NAMES, RECORDS, UNITS, Result
+from axijax.app.results import RECORDS, Result
 from axijax.app.snapshot import snapshot
 from axijax.core.files import draw_afterwards, write_whole
 from axijax.triaxial.records import find_peak
@@ -253,7 +253,7 @@ def _flat(values: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, str
 
 
 def _glossary() -> str:
-    rows = [[name, f"[{'-' if UNITS[name] == '1' else UNITS[name]}]", LONG_NAMES[name]] for name in RECORDS]
+    rows = [[name, f"[{each.unit.replace('1', '-')}]", each.long_name] for name, each in RECORDS.items()]
     return _table(["in curve.nc and curve.csv", "unit", "meaning"], rows)
 
 

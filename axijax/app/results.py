@@ -28,21 +28,6 @@ if TYPE_CHECKING:
     from axijax.app.case import Case
     from axijax.triaxial.test import Progress
 
-LONG_NAMES = {
-    "axial_strain": "axial strain, compression positive",
-    "stress_ratio": "stress ratio s1/s3, platen force over the area of the sector of radius Rm",
-    "virial_ratio": "stress ratio s1/s3 from platen force and membrane forces, free of any area",
-    "core_ratio": "vertical over horizontal Love-Weber stress of the inner core",
-    "volumetric_strain": "volumetric strain, compression positive",
-    "void_ratio": "voids over solids below the skin of the specimen, counted",
-    "coordination_number": "mean number of contacts of a ball",
-    "unbalanced_force": "mean resultant over mean contact force",
-    "sliding_fraction": "share of the contacts at the Coulomb limit",
-    "chatter": "motion of the contacts to and fro from step to step, against what their springs hold",
-    "membrane_radius": "radius Rm through the middle of the membrane zone",
-}
-UNITS = {name: "L" if name == "membrane_radius" else "1" for name in RECORDS}
-
 # How confinement ended: one value a run.
 CONFINEMENT = {
     "confinement_unbalanced_force": "mean unbalanced over mean contact force at the end of confinement",
@@ -68,7 +53,7 @@ def curves_dataset(curves: Mapping[str, Curve], labels: Mapping[str, Sequence], 
         for row, curve in zip(table, curves.values(), strict=True):
             values = np.asarray(getattr(curve, name))
             row[: values.size] = values
-        data[name] = (("run", "record"), table, {"long_name": LONG_NAMES[name], "units": UNITS[name]})
+        data[name] = (("run", "record"), table, {"long_name": RECORDS[name].long_name, "units": RECORDS[name].unit})
     for name, long_name in CONFINEMENT.items():
         ends = [getattr(curve.confinement, name.removeprefix("confinement_")) for curve in curves.values()]
         data[name] = (("run",), np.asarray(ends), {"long_name": long_name, "units": "1"})

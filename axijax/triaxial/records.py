@@ -1,7 +1,7 @@
 """The record of a test, and what is said of one that went wrong."""
 
 import warnings
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple
 
 import jax
@@ -35,8 +35,21 @@ class Confinement(NamedTuple):
         return jnp.maximum(self.unbalanced_force, self.stress_error)
 
 
+class Recorded(NamedTuple):
+    """What is said of a recorded quantity: long name, and unit as NetCDF writes it, "1" for none."""
+
+    long_name: str
+    unit: str
+
+
+def recorded(long_name: str, unit: str = "1") -> Any:
+    """A field of `Curve` with one value a record. Files, reports and batches read its declaration from here; a quantity
+    of the same name in `observe.Observation` is taken over."""
+    return field(metadata={"record": Recorded(long_name, unit)})
+
+
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Curve:
     """The record of a test: fields of T values, compression positive. Stress ratios as in `observe.Observation`.
 
@@ -48,23 +61,23 @@ class Curve:
     status: bits, zero for a sound run (see `raise_for_status`).
     """
 
-    axial_strain: jax.Array
-    stress_ratio: jax.Array
-    virial_ratio: jax.Array
-    core_ratio: jax.Array
-    volumetric_strain: jax.Array
-    void_ratio: jax.Array
-    coordination_number: jax.Array
-    unbalanced_force: jax.Array
-    sliding_fraction: jax.Array
-    chatter: jax.Array
-    membrane_radius: jax.Array
+    axial_strain: jax.Array = recorded("axial strain, compression positive")
+    stress_ratio: jax.Array = recorded("stress ratio s1/s3, platen force over the area of the sector of radius Rm")
+    virial_ratio: jax.Array = recorded("stress ratio s1/s3 from platen force and membrane forces, free of any area")
+    core_ratio: jax.Array = recorded("vertical over horizontal Love-Weber stress of the inner core")
+    volumetric_strain: jax.Array = recorded("volumetric strain, compression positive")
+    void_ratio: jax.Array = recorded("voids over solids below the skin of the specimen, counted")
+    coordination_number: jax.Array = recorded("mean number of contacts of a ball")
+    unbalanced_force: jax.Array = recorded("mean resultant over mean contact force")
+    sliding_fraction: jax.Array = recorded("share of the contacts at the Coulomb limit")
+    chatter: jax.Array = recorded("motion of contacts to and fro from step to step, against what their springs hold")
+    membrane_radius: jax.Array = recorded("radius Rm through the middle of the membrane zone", "L")
     confinement: Confinement
     status: jax.Array
 
 
-# The fields of a curve that hold one value a record.
-RECORDS = tuple(f.name for f in fields(Curve) if f.name not in ("confinement", "status"))
+# The fields of a curve that hold one value a record, and what is said of each where it is written.
+RECORDS: dict[str, Recorded] = {f.name: f.metadata["record"] for f in fields(Curve) if "record" in f.metadata}
 
 
 class Peak(NamedTuple):
@@ -157,18 +170,11 @@ def warn_of_chatter(curve: Curve) -> None:
 def make_curve(seen: Observation, balance: Confinement, status=0) -> Curve:
     """A curve from T observations, strains counted from the first."""
     status = status | jnp.where(seen.chatter[jnp.argmax(seen.stress_ratio)] > CHATTER, UNSTABLE, 0)
+    taken = {name: getattr(seen, name) for name in RECORDS if name in Observation._fields}
     return Curve(
         axial_strain=1 - seen.height / seen.height[0],
-        stress_ratio=seen.stress_ratio,
-        virial_ratio=seen.virial_ratio,
-        core_ratio=seen.core_ratio,
         volumetric_strain=1 - seen.volume / seen.volume[0],
-        void_ratio=seen.void_ratio,
-        coordination_number=seen.coordination_number,
-        unbalanced_force=seen.unbalanced_force,
-        sliding_fraction=seen.sliding_fraction,
-        chatter=seen.chatter,
-        membrane_radius=seen.membrane_radius,
         confinement=balance,
         status=status,
+        **taken,
     )
