@@ -23,6 +23,7 @@ from axijax.core.vector import Vector
 
 SPACING = 1.0  # of the points at which the surface is found, in radii of equal balls filling twice the height in width
 SMOOTH = 1.5  # radii over which the surface is smoothed, as the standard deviation of a Gaussian
+WIDE, TALL, CHUNK = 6, 5, 256
 # Points and weights along a ball's diameter by which a cubic's mean over the ball is exact (Gauss-Gegenbauer).
 NODES = ((0.0, 16 / 30), ((3 / 7) ** 0.5, 7 / 30), (-((3 / 7) ** 0.5), 7 / 30))
 
@@ -43,7 +44,7 @@ def void_ratio(place: Vector, radius: jax.Array, weight: jax.Array, sector: Sect
     rho = radial_distance(place)
     off_axis = rho > 0
     angle = jnp.arctan2(place.y, jnp.where(off_axis, place.x, 1.0))
-    surface = _surface(rho, angle, place.z, radius, mean, sector, bottom, top)
+    surface = _surface(place, rho, angle, radius, mean, sector, bottom, top)
     depth = _between(surface, angle, (place.z - bottom) / (top - bottom), sector) - rho
 
     def weight_at(below):
@@ -57,7 +58,7 @@ def void_ratio(place: Vector, radius: jax.Array, weight: jax.Array, sector: Sect
     return jnp.where(solid > 0, space / jnp.where(solid > 0, solid, 1.0) - 1, jnp.nan)
 
 
-def _surface(rho, angle, z, radius, mean, sector: Sector, bottom, top) -> jax.Array:
+def _surface(place: Vector, rho, angle, radius, mean, sector: Sector, bottom, top) -> jax.Array:
     """Distance of the skin from the axis at points spread evenly over angle and height, (A, Z) [L]."""
     across = (rho.size * sector.order) ** (1 / 3) / SPACING
     columns, rows = max(4, int(5.1 * across / sector.order)), max(4, int(3.24 * across))
@@ -65,28 +66,13 @@ def _surface(rho, angle, z, radius, mean, sector: Sector, bottom, top) -> jax.Ar
     height = bottom + (top - bottom) * jnp.asarray((np.arange(rows) + 0.5) / rows, rho.dtype)
     reach = radius + mean
 
-    def along_lines(rho, angle, theta):
-        """Of lines at angle theta: how far out they pass the ball's centre, and how far beside it, squared."""
-        aside = theta - angle
-        if sector.boundary == "periodic":  # the nearest image stands out farthest
-            aside = jnp.mod(aside + sector.angle / 2, sector.angle) - sector.angle / 2
-        return rho * jnp.cos(aside), (rho * jnp.sin(aside)) ** 2
-
-    def leaving(middle, beside, above, reach):
-        """How far from the axis a line leaves the ball inflated by the probe; zero where it misses it."""
-        square = reach**2 - beside - above**2
-        met = (square > 0) & (middle > 0)
-        return jnp.where(met, middle + jnp.sqrt(jnp.where(met, square, 1.0)), 0.0)
-
-    middle, beside, heights, reaches = jax.lax.stop_gradient((*along_lines(rho, angle, theta[:, None]), z, reach))
-
-    def outermost(level):
-        return jnp.argmax(leaving(middle, beside, level - heights, reaches), axis=1)
-
-    ball = jax.lax.map(outermost, jax.lax.stop_gradient(height)).T
-    middle, beside = along_lines(rho[ball], angle[ball], theta[:, None])
-    found = leaving(middle, beside, height - z[ball], reach[ball])
-    rough = jnp.maximum(found - mean, 0.0)
+    ball = _outermost(*jax.lax.stop_gradient((place, rho, angle, reach, bottom, top)), (columns, rows), sector)
+    column = jnp.arange(columns, dtype=jnp.int32)[:, None]
+    if sector.boundary == "periodic":  # the nearest image stands out farthest
+        turns = (jax.lax.stop_gradient(angle)[ball] - theta[:, None]) / sector.angle
+        column = column + columns * jnp.floor(turns + 0.5).astype(jnp.int32)
+    middle, beside = _along_line(place.at(ball), column, columns, sector)
+    rough = jnp.maximum(_leaving(middle, beside, height - place.z[ball], reach[ball]) - mean, 0.0)
 
     aside = jnp.abs(theta[:, None] - theta)
     if sector.boundary == "periodic":
@@ -100,6 +86,102 @@ def _surface(rho, angle, z, radius, mean, sector: Sector, bottom, top) -> jax.Ar
     for _ in range(2):
         rough = jnp.minimum(rough, smooth(rough) + mean)
     return smooth(rough)
+
+
+def _along_line(place: Vector, column, columns: int, sector: Sector):
+    """Of the radial line of a column: how far from the axis it passes a place, and how far beside it.
+
+    Columns go on beyond the sector into its images, from -2 pi to 4 pi.
+    """
+    around = columns * sector.order
+    angle = (np.arange(-around, 2 * around) + 0.5) * (sector.angle / columns)
+    cos, sin = (
+        jnp.asarray(values, place.x.dtype).at[column + around].get(mode="clip")
+        for values in (np.cos(angle), np.sin(angle))
+    )
+    return place.x * cos + place.y * sin, place.x * sin - place.y * cos
+
+
+def _leaving(middle, beside, above, reach):
+    """How far from the axis a radial line leaves a ball inflated by the probe; zero where it misses it.
+
+    It passes the ball's centre at the distance `middle` from the axis, `beside` it and `above` it.
+    """
+    square = reach**2 - beside**2 - above**2
+    met = (square > 0) & (middle > 0)
+    return jnp.where(met, middle + jnp.sqrt(jnp.where(met, square, 1.0)), 0.0)
+
+
+def _outermost(place: Vector, rho, angle, reach, bottom, top, shape: tuple[int, int], sector: Sector) -> jax.Array:
+    """Which inflated ball the probe meets first on its way in at each point of the surface, (A, Z); no derivative.
+
+    Ball after ball, from the one that stands out farthest inwards, writes itself to the points within its reach, until
+    none of the others stands out as far as what has been found at every point. So the core of a specimen costs nothing,
+    and nothing is left out whatever the specimen looks like. A ball is written in tiles of WIDE columns by TALL rows,
+    as many as it needs; each pass of the loop writes CHUNK tiles.
+    """
+    (columns, rows), balls, around = shape, rho.size, shape[0] * sector.order
+    low_bits = (1 << (balls - 1).bit_length()) - 1
+
+    def rank(distance, ball):
+        """One whole number that orders by distance, and by ball (the first is highest) where distances are equal.
+
+        A positive number's bits order as it does; the last ones, some 1e-12 of it, give way to the ball's number.
+        """
+        ordered = jax.lax.bitcast_convert_type(distance.astype(jnp.float64), jnp.int64)
+        return ordered & ~low_bits | (balls - 1 - ball)
+
+    def ball_of(rank):
+        return balls - 1 - (rank & low_bits).astype(jnp.int32)
+
+    farthest = jnp.sort(rank(rho + reach, jnp.arange(balls)))[::-1]
+    order = ball_of(farthest)
+    place, rho, angle, reach = jax.tree.map(lambda values: values[order], (place, rho, angle, reach))
+
+    def tiles(middle, half, most, size):
+        """First of the points within `half` of a place, in points, and the number of tiles for all of them."""
+        first = jnp.ceil(middle - half).astype(jnp.int32)
+        count = jnp.floor(middle + half).astype(jnp.int32) - first + 1
+        return first, (jnp.clip(count, 0, most) + size - 1) // size
+
+    sine = reach / jnp.maximum(rho, reach)
+    half = sine * (1 + (np.pi / 2 - 1) * sine**2)  # never less than the arcsine
+    per_angle, per_height = columns / sector.angle, rows / (top - bottom)
+    left, beside = tiles(angle * per_angle - 0.5, jnp.minimum(half * per_angle, columns / 2), columns, WIDE)
+    lowest, above = tiles((place.z - bottom) * per_height - 0.5, reach * per_height, rows, TALL)
+    ends = jnp.cumsum(beside * above, dtype=jnp.int32)
+
+    def unfinished(carried):
+        done, ball, best = carried
+        return (done < ends[-1]) & (best.min() < farthest[ball] & ~low_bits)
+
+    def entries(tile, ball):
+        """The points of these tiles of these balls, and what is written there, (WIDE, TALL, CHUNK)."""
+        part = tile - (ends - beside * above)[ball]
+        column = left[ball] + part % beside[ball] * WIDE + np.arange(WIDE, dtype=np.int32)[:, None]
+        row = lowest[ball] + part // beside[ball] * TALL + np.arange(TALL, dtype=np.int32)[:, None]
+        middle, aside = _along_line(place.at(ball), column, columns, sector)
+        height = bottom + (row + 0.5).astype(rho.dtype) / per_height
+        distance = _leaving(middle[:, None], aside[:, None], height - place.z[ball], reach[ball])
+        inside = (row >= 0) & (row < rows)
+        if sector.boundary == "rigid":
+            inside = inside & ((column >= 0) & (column < columns))[:, None]
+        wrapped = np.arange(-around, 2 * around, dtype=np.int32) % columns * rows
+        point = jnp.asarray(wrapped).at[column + around].get(mode="clip")[:, None] + jnp.clip(row, 0, rows - 1)
+        return point, jnp.where(inside, rank(distance, order[ball]), 0)
+
+    def write(carried):
+        done, _, best = carried
+        tile = done + jnp.arange(CHUNK, dtype=jnp.int32)
+        ball = jnp.searchsorted(ends, tile, side="right", method="scan_unrolled").astype(jnp.int32)
+        ball = jnp.minimum(ball, balls - 1)
+        shape = WIDE, TALL, CHUNK
+        blank = jnp.zeros(shape, jnp.int32), jnp.zeros(shape, jnp.int64)
+        point, found = jax.lax.cond(done < ends[-1], entries, lambda *_: blank, tile, ball)
+        return done + CHUNK, ball[-1], best.at[point.ravel()].max(found.ravel(), mode="promise_in_bounds")
+
+    nothing = jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32), jnp.zeros(columns * rows, jnp.int64)
+    return ball_of(jax.lax.while_loop(unfinished, write, nothing)[2]).reshape(columns, rows)
 
 
 def _gaussian(distance) -> jax.Array:
