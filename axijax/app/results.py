@@ -73,7 +73,7 @@ def save_run(folder: Path, name: str, case: str, curve: Curve) -> list[Path]:
     attributes = {"title": name, "case": case, "axijax": version("axijax"), "jax": jax.__version__}
     paths = [folder / f"curve.{kind}" for kind in ("nc", "csv")]
     save_dataset(curves_dataset({name: curve}, {}, attributes), paths[0])
-    heads = [f"{column} [{'-' if UNITS[column] == '1' else UNITS[column]}]" for column in RECORDS]
+    heads = [f"{column} [{each.unit.replace('1', '-')}]" for column, each in RECORDS.items()]
     rows = zip(*(np.asarray(getattr(curve, column)).tolist() for column in RECORDS), strict=True)
     comment = f"axijax {attributes['axijax']}, {name}: compression positive; curve.nc holds the same with the case"
     save_table(paths[1], heads, [dict(zip(heads, row, strict=True)) for row in rows], comment)
