@@ -178,6 +178,12 @@ class Case(Section):
         check_used(self.scene, self.parameters)
         return self
 
+    @model_serializer(mode="wrap")
+    def _holds(self, dump) -> dict[str, Any]:
+        """Of the parameters only those that the scene has, so that what is written can be read again."""
+        sections = dump(self)
+        return {**sections, "parameters": {name: sections["parameters"][name] for name in self.scene.takes()}}
+
     def build(self, specimen: Specimen | None = None) -> TriaxialTest:
         """The test. specimen: one that was made before, by `made`, and the case that `made` returned with it."""
         if specimen is None:

@@ -6,7 +6,7 @@
 A checkpoint, a member of a batch and the log of a fit keep these parts and are refused where one differs. Nothing is
 named here: every field from which an object is made counts, at any depth, and the numbers that it derives from them by
 a rule of this program, which it names in `derived`: a change of the rule, such as that of the time step, makes another
-test.
+test, and a time step that is given is that of the rule where it is the same number.
 """
 
 import hashlib
@@ -84,9 +84,10 @@ def _add(parts: dict[str, str], name: str, value: Any) -> None:
         parts[name] = f"{value.__module__}.{value.__qualname__}"
     elif is_dataclass(value):
         parts[name or "kind"] = type(value).__qualname__
-        for each in fields(value):
-            _add(parts, within(each.name), getattr(value, each.name, None))
-        for inner, number in getattr(value, "derived", {}).items():
+        derived = dict(getattr(value, "derived", {}))
+        for each in fields(value):  # a setting that was left to a rule is what the rule made of it
+            _add(parts, within(each.name), derived.pop(each.name, getattr(value, each.name, None)))
+        for inner, number in derived.items():
             _add(parts, within(f"derived.{inner}"), number)
     elif isinstance(value, Mapping):
         parts[name or "kind"] = f"{type(value).__qualname__} of {len(value)}"
