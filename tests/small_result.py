@@ -1,4 +1,7 @@
-"""The result of a small run, as fixtures for the tests that read it; made once a session."""
+"""The result of a small run, as fixtures for the tests that read it; made once a session.
+
+Nothing is asserted here: PYTEST_DONT_REWRITE.
+"""
 
 import pytest
 
