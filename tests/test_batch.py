@@ -106,7 +106,8 @@ def test_run_again_computes_only_what_is_missing(batch, runs):
 def test_a_folder_of_something_else_is_refused(batch):
     folder, _, other = batch
     changed = dataclasses.replace(other, params=dataclasses.replace(other.parameters, density=2100.0))
-    with pytest.raises(ValueError, match=r"parameters\.density \(2100\.0 here, 2000\.0 there\); choose another folder"):
+    differing = r"parameters\.material\.density \(2100\.0 here, 2000\.0 there\); choose another folder"
+    with pytest.raises(ValueError, match=differing):
         run_batch([changed], folder)
 
 
@@ -241,7 +242,9 @@ def test_grid():
         *("friction=0.2 density=2000", "friction=0.2 density=2500"),
     ]
     assert grid[1].params.density == 2500.0 and grid[1].labels == {"friction": 0.1, "density": 2500.0}
-    with pytest.raises(ValueError, match="'frction' is not a parameter of a test; known are friction, normal_"):
+    (rolling,) = parameter_grid(tiny(), rolling_friction=[0.1])  # of a part that is not there until it is named
+    assert rolling.params.rolling_friction == 0.1 and tiny().params.material.rolling is None
+    with pytest.raises(ValueError, match=r"'frction' is not a parameter of this test; it has .*friction, .*normal_"):
         parameter_grid(tiny(), frction=[0.1])
     with pytest.raises(ValueError, match=r"friction = 0\.1: must be a list"):
         parameter_grid(tiny(), friction=0.1)

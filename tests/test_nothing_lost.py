@@ -129,7 +129,7 @@ class TestAPictureThatFails:
         assert (tmp_path / "f" / "curve.png").exists() and info_of(tmp_path / "f")["warnings"] == []
         assert plot.thornton_ratio(Case(parameters={"friction": 0.5})) == pytest.approx(2 * 1.5 / 0.5)
         assert plot.thornton_ratio(Case(parameters={"friction": friction})) is None
-        assert plot.thornton_ratio(Case(parameters={"friction": friction}, scene={"friction": False})) == 2
+        assert plot.thornton_ratio(Case(scene={"friction": False})) == 2
 
     def test_costs_a_warning_and_no_number(self, finished, tmp_path, monkeypatch):
         def broken(*_):

@@ -36,7 +36,7 @@ from axijax.app.batch_files import (
     write_summary,
 )
 from axijax.core.parallel import cores, parallel
-from axijax.core.quantity import declared, parts_of, values_of
+from axijax.core.quantity import declared, optional_parts, parts_of, values_of
 from axijax.mechanics.params import Params, check_params
 from axijax.mechanics.time_step import check_step, critical_time_step
 from axijax.triaxial.many import simulate_many
@@ -118,7 +118,9 @@ def parameter_grid(test: TriaxialTest, **values: Sequence[float]) -> list[Member
 
     Raises ValueError for a name that is no parameter, and for an empty list.
     """
-    known = [name for part in parts_of(test.params) for name in declared(part)]
+    parts = parts_of(test.params)
+    kinds = [*parts, *(kind for part in parts for kind in optional_parts(part).values())]
+    known = list(dict.fromkeys(name for kind in kinds for name in declared(kind)))
     for name, sequence in values.items():
         if name not in known:
             raise ValueError(f"'{name}' is not a parameter of this test; it has {', '.join(known)}.")

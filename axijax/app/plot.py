@@ -104,7 +104,8 @@ def labels(results: Sequence[Result]) -> list[str]:
         known = dict.fromkeys(field for fields in flat for field in fields)
         # The time step that a run has chosen follows from the rest.
         known.pop("test.time_step", None)
-        differing = [field for field in known if len({repr(fields.get(field)) for fields in flat}) > 1]
+        # A field that only some have follows from one that differs, such as contact_law.
+        differing = [field for field in known if len({repr(fields[field]) for fields in flat if field in fields}) > 1]
         told = [
             ", ".join(
                 f"{field.split('.')[1].replace('_', ' ')} {_short(fields[field])}"
