@@ -6,6 +6,7 @@ A material is a tree of parts, and a part that is None is not there: not compile
 """
 
 from dataclasses import dataclass
+from functools import reduce
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -95,6 +96,17 @@ class Material:
         """How many times stiffer than a reference of the same kind, by the larger of normal and tangential [-]: with so
         many times its density the reference's time step serves."""
         raise NotImplementedError
+
+    def turning_over(self, reference: "Material"):
+        """How many times larger the resistances to rotation are over the tangential stiffness than a reference's, or 1
+        where none is larger [-]."""
+        pairs = (self.rolling, reference.rolling), (self.torsion, reference.torsion)
+        ratios = [
+            mine.ratio_and_friction()[0] / other.ratio_and_friction()[0]
+            for mine, other in pairs
+            if mine is not None and other is not None
+        ]
+        return reduce(jnp.maximum, ratios, 1.0)
 
     # What the dashpots' coefficients 2 beta sqrt(k m*) are multiplied by, k being the tangent stiffness.
     dashpot_factor = 1.0
