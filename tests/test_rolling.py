@@ -6,6 +6,7 @@ its spins are about z (rolling) or about its normal x (torsion).
 
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +32,7 @@ from axijax import Dashpot, Hertz, LocalDamping, Rolling, Torsion
 from axijax.core.sector import Sector
 from axijax.core.vector import Vector, from_rows
 from axijax.mechanics.contact_list import build_contact_list, carry_memory
-from axijax.mechanics.dynamics import all_forces, initial_state, make_step
+from axijax.mechanics.dynamics import all_forces, initial_state
 from axijax.mechanics.gravity import Gravity
 from axijax.mechanics.time_step import critical_time_step
 from axijax.specimen.specimen import Specimen, cut_to_sector, fcc_octagon
@@ -97,13 +98,14 @@ def test_past_the_cap_spins_fall_evenly(kind):
 
 def test_equal_spins_and_the_other_part_make_no_moment():
     """Neither for balls that turn alike; rolling does not resist torsion, nor the reverse."""
-    for kind, other in (("rolling", "torsion"), ("torsion", "rolling")):
-        params = resisting(kind, 0.7, 0.2)
-        wrong, right = about(other, 0.1), about(kind, 0.1)
-        for first, second, resists in ((wrong, -wrong, False), (right, right, False), (right, -right, True)):
-            network, state, load = pressed_pair(params, first, second)
-            moment = np.asarray(forces_of(SCENE, params, network, load, 0.1, state).pushes[3].moment)
-            assert np.abs(moment).max() == pytest.approx(0.2 * PUSH if resists else 0.0, rel=1e-9, abs=1e-16)
+    params = both((0.7, 0.2), (0.7, 0.2))
+    for kind in ("rolling", "torsion"):
+        for first, second in ((0.1, -0.1), (0.1, 0.1)):
+            network, state, load = pressed_pair(params, about(kind, first), about(kind, second))
+            pushes = forces_of(SCENE, params, network, load, 0.1, state).pushes
+            found = [np.abs(np.asarray(push.moment)).max() for push in pushes[3:]]
+            expected = [0.2 * PUSH * (part == kind and first != second) for part in ("rolling", "torsion")]
+            np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-16)
 
 
 @jit
@@ -140,7 +142,7 @@ def work_of(moments, angles):
 
 def corners(*places, between=400):
     """A way through these places, in straight lines."""
-    parts = [np.linspace(a, b, between, endpoint=False) for a, b in zip(places[:-1], places[1:], strict=True)]
+    parts = [np.linspace(a, b, between, endpoint=False) for a, b in pairwise(places)]
     return np.concatenate([*parts, [places[-1]]])
 
 

@@ -4,8 +4,8 @@ critical time step where a term or a material is not one that `axijax.mechanics.
 Every contact sticks: friction and all other caps (`Term.stuck`) are without limit, and whatever is nearer than touching
 is pressed together. Tangential springs do not follow from the places of the balls; they grow in a step by slip rate
 times dt. So the forces' derivative by velocities and spins is C + dt K_t, of dashpots and tangential springs, and that
-by displacements is what is left of the stiffness. A term with springs of its own is seen if it lets them grow by a step before it takes their force, as
-contacts and walls do.
+by displacements is what is left of the stiffness. A term with springs of its own is seen if it lets them grow by a step
+before it takes their force, as contacts and walls do.
 """
 
 from collections.abc import Callable
