@@ -6,7 +6,6 @@ A material is a tree of parts, and a part that is None is not there: not compile
 """
 
 from dataclasses import dataclass
-from functools import reduce
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -106,7 +105,7 @@ class Material:
             for mine, other in pairs
             if mine is not None and other is not None
         ]
-        return reduce(jnp.maximum, ratios, 1.0)
+        return jnp.asarray([1.0, *ratios]).max()
 
     # What the dashpots' coefficients 2 beta sqrt(k m*) are multiplied by, k being the tangent stiffness.
     dashpot_factor = 1.0
