@@ -126,6 +126,11 @@ class ParameterSet:
         about = tuple(known[name][0] for name in full)
         low, high = [], []
         for name, each in zip(full, about, strict=True):
+            ranged = each.coordinate == "logit" or (each.coordinate == "log" and 0 < reference[name] < np.inf)
+            if name not in given and not ranged:
+                raise ValueError(
+                    f"{name} = {reference[name]:g} in this test, from which no range to fit in follows: give bounds."
+                )
             lower, upper = given.get(name, default_limits(name, each, reference[name]))
             top = each.top if each.coordinate == "logit" else each.below
             least = -np.inf if each.coordinate == "linear" else 0.0

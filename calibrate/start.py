@@ -48,7 +48,7 @@ def start_by_rule(simulator, parameters, targets) -> np.ndarray:
     stiff = [name for name in ("normal_stiffness", "shear_stiffness") if name in parameters.names]
     specimen = getattr(simulator, "specimen", None)
     if peak is not None and rise and stiff and specimen is not None:
-        friction = values.get("friction", reference["friction"])
+        friction = values.get("friction", reference.get("friction", 0.0))
         ratio = reference["stiffness_ratio"]
         radius = float(np.mean(specimen.radius))
         slope = float(fcc_youngs_modulus(1.0, ratio, radius)) / reference["confining_stress"]  # of R, at kn = 1
@@ -109,7 +109,8 @@ def corrected_by_run(evaluator, evaluation, prior_rows) -> np.ndarray | None:
     if with_stiffness:
         rows.append(np.eye(len(names))[stiff].sum(axis=0))
     directions = np.array(rows)
-    friction = parameters.values(here).get("friction", parameters.reference["friction"])
+    # A material without friction has no such number.
+    friction = (parameters.reference | parameters.values(here)).get("friction", 0.0)
 
     def residual(moves):
         z = np.clip(here + moves @ directions, low, high)
@@ -125,10 +126,15 @@ def corrected_by_run(evaluator, evaluation, prior_rows) -> np.ndarray | None:
 
 
 def _within(parameters, values) -> np.ndarray:
-    low, high = parameters.lower, parameters.upper
-    margin = (high / low) ** 0.02
-    kept = {
-        name: float(np.clip(values.get(name, parameters.reference[name]), low[p] * margin[p], high[p] / margin[p]))
-        for p, name in enumerate(parameters.names)
-    }
+    """(P,) coordinates of these values, or the reference, a little inside the limits."""
+    kept = {}
+    for name, about, low, high in zip(
+        parameters.names, parameters.about, parameters.lower, parameters.upper, strict=True
+    ):
+        if about.coordinate == "linear":
+            inside = low + 0.02 * (high - low), high - 0.02 * (high - low)
+        else:
+            margin = (high / low) ** 0.02
+            inside = low * margin, high / margin
+        kept[name] = float(np.clip(values.get(name, parameters.reference[name]), *inside))
     return parameters.coordinates(kept)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from calibrate_standin import StandIn, measured
 
+from axijax import Gravity, Params, Rolling
 from axijax.specimen.specimen import fcc_octagon
 from axijax.theory import fcc_stress_ratio, stretched_stress_ratio
 from axijax.triaxial.test import TriaxialTest
@@ -226,6 +227,77 @@ def test_import_is_light():
         "assert t < 0.3, t; assert not {'scipy', 'optax', 'matplotlib'} & set(sys.modules) - before"
     ).replace("import axijax,", "import axijax; import sys; before = set(sys.modules); import")
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_stiffness_is_recovered_where_the_material_has_no_friction():
+    class Frictionless(StandIn):
+        def simulate(self, params):
+            assert params.friction is None
+            return super().simulate(replace(params, friction=0.0))
+
+    simulator = Frictionless(params=Params(friction=None))
+    stiff = {"normal_stiffness": 2.4e9, "shear_stiffness": 2.4e9}
+    for start in ("rule", "test"):
+        found = fit_parameters(simulator, measured(simulator, **stiff), "kn", start=start)
+        assert found.converged and found.estimate["normal_stiffness"] == pytest.approx(2.4e9, rel=5e-3)
+    with pytest.raises(ValueError, match="parameter 'f': this test has no such number, so no data can tell it; it has"):
+        fit_parameters(simulator, measured(simulator, **stiff), "f,kn")
+
+
+def test_parameters_of_a_material_with_rolling_by_name():
+    """Friction in logits between 0 and 1, rolling friction, which has no upper bound, in logs."""
+    params = Params(friction=0.4, rolling=Rolling(rolling_friction=0.2))
+    parameters = ParameterSet.of(params, "f,eta_r")
+    assert parameters.names == ("friction", "rolling_friction")
+    assert parameters.reference["rolling_friction"] == 0.2 and parameters.reference["friction"] == 0.4
+    np.testing.assert_allclose(parameters.lower, [1e-3, 2e-4])
+    np.testing.assert_allclose(parameters.upper, [0.999, 200.0])
+    np.testing.assert_allclose(parameters.coordinates(), [np.log(0.4 / 0.6), np.log(0.2)], rtol=1e-12)
+    z = parameters.coordinates({"eta_r": 0.1, "friction": 0.3})
+    np.testing.assert_allclose(z, [np.log(0.3 / 0.7), np.log(0.1)], rtol=1e-12)
+    for limit, physical in zip(parameters.limits(), (parameters.lower, parameters.upper), strict=True):
+        np.testing.assert_allclose(limit, [np.log(physical[0] / (1 - physical[0])), np.log(physical[1])], rtol=1e-9)
+    made = parameters.params(params, z)
+    assert (float(made.friction), float(made.rolling_friction)) == pytest.approx((0.3, 0.1), rel=1e-12)
+    assert replace(made, friction=0.4, rolling_friction=0.2) == params, "nothing else changes, the density neither"
+
+    bounded = ParameterSet.of(params, "eta_r,f", {"eta_r": (0.05, 0.5), "f": (0.1, 0.6)})
+    np.testing.assert_allclose(bounded.lower, [0.05, 0.1])
+    np.testing.assert_allclose(bounded.upper, [0.5, 0.6])
+    for names, bounds, words in (
+        ("f,eta_r", {"eta_r": (0.0, 0.5)}, r"bounds of rolling_friction = \(0\.0, 0\.5\): .* 0 < lower < upper\."),
+        ("f,eta_r", {"alpha_r": (0.1, 0.5)}, "bounds are given for 'rolling_stiffness', which is not fitted"),
+        ("f,eta_tw", None, "parameter 'eta_tw': this test has no such number"),
+        ("eta_r,rolling_friction", None, "'rolling_friction' is named twice"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            ParameterSet.of(params, names, bounds)
+    with pytest.raises(ValueError, match="parameter 'eta_r': this test has no such number"):
+        ParameterSet.of(Params(), "f,eta_r")
+    smooth = replace(params, rolling_friction=0.0)
+    with pytest.raises(ValueError, match=r"rolling_friction = 0 in this test, .*: give bounds"):
+        ParameterSet.of(smooth, "f,eta_r")
+    assert len(ParameterSet.of(smooth, "f,eta_r", {"eta_r": (0.05, 0.5)})) == 2
+
+
+def test_what_has_no_range_of_its_own_is_fitted_within_bounds():
+    """Gravity may be negative, a glued platen's friction is infinite: no factor of these is a range."""
+
+    class Falling(StandIn):
+        def simulate(self, params):
+            curve = super().simulate(params)
+            curve.stress_ratio = curve.stress_ratio - 0.02 * (params.gravity_z + 9.81)
+            return curve
+
+    simulator = Falling(params=Params(terms=(Gravity(),)))
+    data = measured(simulator, gravity_z=-4.0)
+    with pytest.raises(ValueError, match=r"gravity_z = -9\.81 in this test, .*: give bounds"):
+        fit_parameters(simulator, data, "gravity_z")
+    with pytest.raises(ValueError, match=r"platen_friction = inf in this test, .*: give bounds"):
+        ParameterSet.of(Params(platen_friction=np.inf), "platen_friction")
+    for start in ("rule", "test", {"gravity_z": 3.0}):
+        found = fit_parameters(simulator, data, "gravity_z", bounds={"gravity_z": (-20.0, 5.0)}, start=start)
+        assert found.estimate["gravity_z"] == pytest.approx(-4.0, abs=1e-3)
 
 
 @pytest.mark.slow

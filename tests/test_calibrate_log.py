@@ -9,8 +9,8 @@ from calibrate_standin import StandIn, measured
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from axijax import LocalDamping, Params, Scene
 from axijax.core.sector import Sector
-from axijax.mechanics.dynamics import Params, Scene
 from axijax.specimen.specimen import fcc_octagon
 from axijax.triaxial.test import TriaxialTest
 from calibrate.evaluate import Evaluator
@@ -46,11 +46,14 @@ def refused(log, *arguments, **options) -> str:
         ("sector.boundary ('rigid' here, 'periodic' there)", lambda test: {"sector": Sector(4, "rigid")}),
         ("sector.order", lambda test: {"sector": Sector(2)}),
         ("scene.rotation (False here, True there)", lambda test: {"scene": Scene(rotation=False)}),
-        ("scene.damping", lambda test: {"scene": Scene(damping="local")}),
+        (
+            "params.material.damping (LocalDamping here, Dashpot there)",
+            lambda test: {"params": replace(test.params, damping=LocalDamping(0.7))},
+        ),
         ("specimen.positions", lambda test: {"specimen": fcc_octagon(layers=3, half_width=5)}),
         ("specimen.positions", lambda test: {"specimen": moved(test.specimen)}),  # as another seed's
-        ("params.friction", lambda test: {"params": replace(test.params, friction=0.3)}),
-        ("params.damping_ratio", lambda test: {"params": replace(test.params, damping_ratio=0.04)}),
+        ("material.friction (0.3 here, 0.12278 there)", lambda test: {"params": replace(test.params, friction=0.3)}),
+        ("params.material.damping.damping_ratio", lambda test: {"params": replace(test.params, damping_ratio=0.04)}),
         ("axial_strain", lambda test: {"axial_strain": 0.003}),
         ("time_step", lambda test: {"time_step": 0.01}),
         ("tolerance", lambda test: {"tolerance": 1e-5}),

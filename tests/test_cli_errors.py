@@ -43,7 +43,7 @@ def test_closed_standard_streams(tmp_path):
     for closed, told in ((">&-", True), ("<&- >&- 2>&-", False)):
         called = subprocess.run(f"{command} {closed}", shell=True, cwd=tmp_path, capture_output=True, text=True)
         assert called.returncode == 1 and called.stdout == ""
-        assert "already holds curve.csv" in sentence(called.stderr) if told else called.stderr == ""
+        assert "holds curve.csv but no sound run.json" in sentence(called.stderr) if told else called.stderr == ""
     assert (tmp_path / "out" / "curve.csv").read_text() == "mine"
     assert subprocess.run(f"{sys.executable} -m axijax new b.toml >&-", shell=True, cwd=tmp_path).returncode == 0
     assert (tmp_path / "b.toml").read_text().startswith("# A triaxial test")

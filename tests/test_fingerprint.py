@@ -11,7 +11,11 @@ import pytest
 
 from axijax.core.fingerprint import differences, fingerprint
 from axijax.core.sector import Sector
-from axijax.mechanics.dynamics import Params, Scene
+from axijax.mechanics.damping import LocalDamping
+from axijax.mechanics.dynamics import Scene
+from axijax.mechanics.gravity import Gravity
+from axijax.mechanics.hertz import Hertz
+from axijax.mechanics.params import Params
 from axijax.specimen.specimen import fcc_octagon
 from axijax.triaxial.test import TriaxialTest
 
@@ -28,11 +32,20 @@ CHANGES = {
     "sector.boundary ('rigid' here, 'periodic' there)": lambda test: {"sector": Sector(4, "rigid")},
     "sector.order (2.0 here, 4.0 there)": lambda test: {"sector": Sector(2)},
     "scene.rotation (False here, True there)": lambda test: {"scene": Scene(rotation=False)},
-    "scene.damping": lambda test: {"scene": Scene(damping="local")},
-    "scene.contact_law": lambda test: {"scene": Scene(contact_law="hertz"), "time_step": 1e-3},
-    "params.friction (0.2 here, 0.12278 there)": lambda test: {"params": replace(test.params, friction=0.2)},
-    "params.damping_ratio": lambda test: {"params": replace(test.params, damping_ratio=0.1)},
-    "params.friction": lambda test: {"params": replace(test.params, friction=np.full(len(test.cut), 0.12278))},
+    "params.material.damping (LocalDamping here, Dashpot there)": lambda test: {
+        "params": replace(test.params, damping=LocalDamping())
+    },
+    "params.material (Hertz here, Linear there)": lambda test: {"params": Params(Hertz()), "time_step": 1e-3},
+    "params.material.friction (None here, 0.12278 there)": lambda test: {"params": replace(test.params, friction=None)},
+    "params.material.rolling (Rolling here, None there)": lambda test: {
+        "params": replace(test.params, rolling_friction=0.1)
+    },
+    "params.terms": lambda test: {"params": replace(test.params, terms=(Gravity(),))},
+    "params.material.friction (0.2 here, 0.12278 there)": lambda test: {"params": replace(test.params, friction=0.2)},
+    "params.material.damping.damping_ratio (0.1 here, 0.05 there)": lambda test: {
+        "params": replace(test.params, damping_ratio=0.1)
+    },
+    "params.material.friction": lambda test: {"params": replace(test.params, friction=np.full(len(test.cut), 0.12278))},
     "ramp_time": lambda test: {"params": replace(test.params, density=test.params.density * 2)},
     "axial_strain (0.003 here, 0.002 there)": lambda test: {"axial_strain": 0.003},
     "time_step": lambda test: {"time_step": 0.9 * test.prepared.time_step},
@@ -73,6 +86,15 @@ def test_a_changed_load_differs_from_a_load(test):
 def test_every_field_of_a_test_is_in_it(test):
     parts = {name.split(".")[0] for name in fingerprint(test)}
     assert {each.name for each in fields(test) if each.init} | {"ramp_time"} <= parts
+
+
+def test_a_time_step_that_is_given_is_the_computed_one(test):
+    """As when a result's case file, which holds the step, goes on with a run whose case left it out."""
+    step = test.prepared.time_step
+    assert test.time_step is None
+    assert differences(fingerprint(replace(test, time_step=step)), fingerprint(test)) == ""
+    other = differences(fingerprint(replace(test, time_step=0.9 * step)), fingerprint(test))
+    assert other == f"time_step ({0.9 * step!r} here, {step!r} there)"
 
 
 def test_equal_tests_are_one(test):

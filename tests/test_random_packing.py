@@ -17,10 +17,10 @@ from axijax.mechanics.dynamics import all_forces, initial_state, positions
 from axijax.mechanics.membrane import build_membrane, lateral_force, membrane_load
 from axijax.specimen.grading import linear, sieve_curve, two_sizes, uniform
 from axijax.specimen.specimen import cut_to_sector
+from axijax.triaxial import random_specimen as random_packing
 from axijax.triaxial.engine import until_balls_moved
 from axijax.triaxial.random_specimen import platen_speed, random_cylinder
 from axijax.triaxial.test import TriaxialTest
-from axijax.triaxial.test import random_specimen as random_packing
 
 BALLS = {1: 60, 3: 90, 4: 96, 12: 144}
 TOLERANCE = 1e-3

@@ -18,9 +18,10 @@ from axijax.mechanics.contact_list import Grid, build_contact_list, carry, carry
 from axijax.mechanics.contact_search import contact_list, update
 from axijax.mechanics.term import Memory
 from axijax.specimen.specimen import fcc_octagon
+from axijax.triaxial import progress
 from axijax.triaxial.engine import current_load
 from axijax.triaxial.records import SimulationError
-from axijax.triaxial.test import TriaxialTest, progress
+from axijax.triaxial.test import TriaxialTest
 
 SKIN = 0.3
 WIDTH, CONTACTS = 124, 624  # enough for every order: few programs are compiled
@@ -172,6 +173,115 @@ def test_allocate_leaves_room():
     assert network.slot.shape[0] >= 1.5 * tight.slot.shape[0] and network.first.size >= 1.5 * tight.first.size
     assert listed(network) == listed(tight)
     assert np.prod(grid.cells) > 1 and grid.capacity >= 3
+
+
+class InFreeSpace:
+    """jax-md's neighbour list of all images of the balls as so many particles in free space; a ball on the axis is one
+    particle. Two are near where the gap between them, which jax-md takes for their distance, is below the skin."""
+
+    def __init__(self, specimen, images):
+        from jax_md import partition, space  # takes seconds
+
+        self.count, free = len(specimen), space.free()[0]
+        on_axis = (np.hypot(*specimen.positions[:2]) == 0) & (images > 1)
+        image, ball = np.divmod(np.arange(self.count * images), self.count)  # the balls themselves come first
+        distinct = (image == 0) | ~on_axis[ball]
+        self.ball, self.image = ball[distinct], image[distinct]
+        self.angle, self.radius = 2 * np.pi * self.image / images, specimen.radius[self.ball]
+        widest = 2 * self.radius.max()
+        self.distance = lambda a, b: space.distance(free(a[..., :-1], b[..., :-1]))
+        self.functions = partition.neighbor_list(
+            lambda a, b, **_: self.distance(a, b) - a[..., -1] - b[..., -1] + widest, box=1e3, r_cutoff=widest + SKIN,
+            capacity_multiplier=1.5, disable_cell_list=True, format=partition.Sparse,
+        )  # fmt: skip
+
+    def particles(self, positions):
+        """(P, 4) places of all images of the balls (3, N), and their radii."""
+        x, y, z = jnp.asarray(positions)[:, self.ball]
+        cos, sin = np.cos(self.angle), np.sin(self.angle)
+        return jnp.stack([cos * x - sin * y, sin * x + cos * y, z, self.radius], axis=1)
+
+    def pairs(self, neighbors):
+        """The directed pairs (i, j, k) with a ball itself for their first, and their places in jax-md's list."""
+        there, here = (index.tolist() for index in np.asarray(neighbors.idx))
+        pairs = [
+            ((i, int(self.ball[p]), int(self.image[p])), place)
+            for place, (i, p) in enumerate(zip(here, there, strict=True))
+            if i < self.count and p < self.ball.size
+        ]
+        assert len(dict(pairs)) == len(pairs)
+        return dict(pairs)
+
+
+def oracle(order):
+    """A random packing, its next moves, our functions and list, and jax-md's."""
+    specimen, sector, network, _ = scene(order, seed=4)
+    ours = contact_list(sector, SKIN, largest_overlap=ANY_OVERLAP)
+    theirs = InFreeSpace(specimen, sector.images)
+    rng = np.random.default_rng(order)
+    free = np.asarray(network.free)  # what is on the axis stays on it
+    moves = [0.4 * SKIN / np.sqrt(3) * free * rng.uniform(-1, 1, (3, 25)) for _ in range(3)]
+    neighbors = theirs.functions.allocate(theirs.particles(specimen.positions))
+    return specimen, moves, ours, ours.allocate(specimen), theirs, neighbors
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 5, 12])
+def test_jax_md_finds_the_same_pairs_and_tangents_among_all_images(order):
+    """After `allocate`, and after each of three updates of a packing that moves; with tangents of all distances."""
+    specimen, moves, ours, network, theirs, neighbors = oracle(order)
+    on_axis = (np.hypot(*specimen.positions[:2]) == 0) & (order > 1)
+    along = np.random.default_rng(8).normal(size=(3, 25)) * np.asarray(network.free)
+
+    def our_update(move, network):
+        made = ours.update(move, network)
+        return made.distance, made
+
+    def their_update(positions, neighbors):
+        places = theirs.particles(positions)
+        renewed = neighbors.update(places)
+        there, here = renewed.idx
+        return jax.vmap(theirs.distance)(places.at[here].get(mode="clip"), places.at[there].get(mode="clip")), renewed
+
+    def with_tangents(function):
+        return jit(lambda at, of, by: jax.jvp(lambda at: function(at, of), (at,), (by,), has_aux=True))
+
+    our_update, their_update = with_tangents(our_update), with_tangents(their_update)
+
+    def same_pairs():
+        assert not bool(network.did_buffer_overflow) and not bool(neighbors.did_buffer_overflow)
+        both, pairs = list(from_both_sides(listed(network), on_axis, order)), theirs.pairs(neighbors)
+        assert len(both) == len(set(both)) and set(both) == pairs.keys()
+        return pairs
+
+    before, positions, changed = same_pairs(), specimen.positions, 0
+    for move in moves:
+        positions = positions + move
+        *found, network = our_update(from_rows(move), network, from_rows(along))
+        *expected, neighbors = their_update(positions, neighbors, along)
+        assert int(network.status) == 0
+        pairs, places = same_pairs(), listed(network)
+        changed += pairs.keys() != before.keys()
+        at, at_theirs = list(places.values()), [pairs[pair] for pair in places]
+        for one, other in zip(found, expected, strict=True):
+            np.testing.assert_allclose(np.asarray(one)[at], np.asarray(other)[at_theirs], rtol=0, atol=1e-12)
+        assert np.abs(np.asarray(found[1])[at]).max() > 0.1
+        before = pairs
+    assert changed > 1, "the motions must change the list"
+
+
+def test_an_overflow_sticks_as_in_jax_md():
+    """Balls pushed together until neither list holds their pairs, and back again: both still say so; they would not
+    have, had the balls stayed."""
+    specimen, _, ours, network, theirs, neighbors = oracle(4)
+    together = jnp.asarray(-0.9 * specimen.positions)
+    updated = jit(ours.update)
+    renewed = jit(lambda positions, neighbors: neighbors.update(theirs.particles(positions)))
+    still = updated(from_rows(0 * together), network), renewed(specimen.positions, neighbors)
+    assert [bool(each.did_buffer_overflow) for each in still] == [False, False]
+    full = updated(from_rows(together), network), renewed(specimen.positions + together, neighbors)
+    assert [bool(each.did_buffer_overflow) for each in full] == [True, True]
+    back = updated(from_rows(-together), full[0]), renewed(specimen.positions, full[1])
+    assert [bool(each.did_buffer_overflow) for each in back] == [True, True]
 
 
 def test_derivatives_pass_through_an_update():

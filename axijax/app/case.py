@@ -18,6 +18,7 @@ they exist once.
 """
 
 import inspect
+import math
 import re
 import textwrap
 from functools import lru_cache
@@ -67,7 +68,9 @@ def _section(name: str, source: type) -> Any:
     made: dict[str, Any] = {}
     for each, about in settings(source).items():
         kind, default = hints[each], source.__dataclass_fields__[each].default  # type: ignore[attr-defined]
-        told: dict[str, Any] = {"description": about.description, **bounds(about)}
+        told: dict[str, Any] = {"description": about.description}
+        if {int, float} & {kind, *get_args(kind)}:  # words and switches have no bounds
+            told |= bounds(about)
         if each in LEFT_OUT:
             kind, default = kind | None, None
             told["description"] += f"; {LEFT_OUT[each]}"
@@ -176,6 +179,13 @@ class Case(Section):
         check_used(self.scene, self.parameters)
         return self
 
+    @model_serializer(mode="wrap")
+    def _of_its_scene(self, dump) -> dict[str, Any]:
+        sections = dump(self)
+        taken = self.scene.takes()
+        sections["parameters"] = {name: value for name, value in sections["parameters"].items() if name in taken}
+        return sections
+
     def build(self, specimen: Specimen | None = None) -> TriaxialTest:
         """The test. specimen: one that was made before, by `made`, and the case that `made` returned with it."""
         if specimen is None:
@@ -198,7 +208,7 @@ class Case(Section):
         """
         for section, values in self:
             for name, value in values:
-                if isinstance(value, float) and value != 0 and not LEAST <= abs(value) <= MOST:
+                if isinstance(value, float) and value != 0 and math.isfinite(value) and not LEAST <= abs(value) <= MOST:
                     raise ValueError(f"{section}.{name} = {value:g}: must lie between {LEAST:g} and {MOST:g} in size.")
         if self.specimen.kind != "random":
             return self, self.specimen.build(), None
@@ -289,7 +299,7 @@ def to_toml(case: Case) -> str:
                 allowed = _allowed(about)
             told = [about.description, allowed, "" if default is None else f"default {_toml(default)}"]
             text = "; ".join(part for part in told if part)
-            lines += textwrap.wrap(text, 110, initial_indent="# ", subsequent_indent="#   ")
+            lines += textwrap.wrap(text, 110, initial_indent="# ", subsequent_indent="#   ", break_on_hyphens=False)
             value = getattr(values, field)
             lines.append(f"# {field} =" if value is None else f"{field} = {_toml(value)}")
     return "\n".join(lines) + "\n"

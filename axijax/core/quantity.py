@@ -28,6 +28,7 @@ class Quantity:
 
     meaning: a few words, without the unit. unit: in [L], [M], [T], [F], or "-".
     least, above: lower bound, itself allowed or not. below, most: upper bound, itself not allowed or allowed.
+    positive: the direction that counts as positive, where that is a convention.
     symbols: short names by which a fit may call it.
     coordinate: in which it is a number without bounds: "log" of a scale, "logit" of what lies between 0 and `below`.
     per_ball: it may also be one number a ball. whole: it counts something. infinite: it may be infinite.
@@ -40,6 +41,7 @@ class Quantity:
     above: float = -np.inf
     below: float = np.inf
     most: float = np.inf
+    positive: str = ""
     symbols: tuple[str, ...] = ()
     coordinate: Coordinate = "log"
     per_ball: bool = False
@@ -49,13 +51,16 @@ class Quantity:
 
     @property
     def description(self) -> str:
-        return f"{self.meaning} [{self.unit}]" if self.unit else self.meaning
+        meaning = f"{self.meaning}, {self.positive} positive" if self.positive else self.meaning
+        return f"{meaning} [{self.unit}]" if self.unit else meaning
 
     @property
     def allowed(self) -> str:
         """The bounds in words."""
         low = f"above {self.above:g}" if self.above >= self.least else f"{self.least:g} or more"
         low = {"above 0": "positive", "0 or more": "zero or positive", "-inf or more": "a number"}.get(low, low)
+        low = f"{low}, {self.positive}" if self.positive else low
+        low = f"a whole number, {low}" if self.whole else low
         high = f" and below {self.below:g}" if np.isfinite(self.below) else ""
         return low + (f" and at most {self.most:g}" if np.isfinite(self.most) else high)
 
@@ -87,7 +92,7 @@ class Quantity:
         """The sentence for a concrete value that makes no sense, or None. balls: number of them, for one value each."""
         numbers = np.asarray(value)
         if self.whole and numbers.dtype.kind not in "iu":
-            return f"{name} = {value!r}: must be a whole number, {self.allowed}."
+            return f"{name} = {value!r}: must be {self.allowed}."
         if numbers.dtype.kind not in "fiu":
             return f"{name} = {value!r}: must be a number."
         finite = np.isfinite(numbers) | (np.isposinf(numbers) & self.infinite)

@@ -34,10 +34,10 @@ class Params:
 
     material: Material
     confining_stress: jax.Array | float = quantity(
-        5.0e4, "confining stress s3, compression positive", "F/L^2", above=0.0, symbols=("s3",)
+        5.0e4, "confining stress s3", "F/L^2", above=0.0, positive="compression", symbols=("s3",)
     )
     platen_speed: jax.Array | float = quantity(
-        0.01, "speed of each platen during shear, inward positive", "L/T", above=0.0
+        0.01, "speed of each platen during shear", "L/T", above=0.0, positive="inward"
     )
     terms: tuple[Term, ...] = ()
 
@@ -79,7 +79,8 @@ def check_params(params: Params, balls: int) -> None:
     for name, kind in (("damping", Damping), *optional_parts(params.material).items()):
         part = getattr(params.material, name)
         if part is not None and not isinstance(part, kind):
-            raise ValueError(f"{name} = {part!r}: must be None or of axijax's kind {kind.__name__}, see its module.")
+            such = "Dashpot" if kind is Damping else kind.__name__
+            raise ValueError(f"{name} = {part!r}: must be None or a {kind.__name__}, such as {such}().")
     for term in params.terms:
         if not isinstance(term, Term):
             raise ValueError(f"terms hold {term!r}: each must be an axijax.mechanics.term.Term.")

@@ -69,7 +69,7 @@ def march(
 def _block(scene: Scene, path: Path, record_every: int, lists: Lists, dt, params: Params, start: State, fixed):
     """A scan's body: observes a state, and takes it `record_every` steps further."""
     network, membrane = lists
-    step, observe_and_check = _step_and_observe_and_check(scene, path, lists, dt, params, start)
+    step, observe_and_check = _stepping(scene, path, lists, dt, params, start)
 
     def block(state, _):
         load = current_load(membrane, network, state, fixed)
@@ -114,23 +114,27 @@ def march_until(
     due,
     steps,
     fresh,
+    limit=0,
+    past_last=False,
 ) -> Stretch:
     """A stage from a state as long as its path goes on, with a record whenever one is due.
 
-    records: stop after so many; None for no such end, and none are kept.
+    records: places for records, see `limit`; None for no such end, and none are kept.
     until_worn: stop as well where a list is worn, in the middle of a record's steps if need be.
     every_step: look at every step how far the balls have moved, see `until_balls_moved`.
     due: steps until the next record is due, zero for now. steps: taken before. fresh: the lists were just rebuilt, so
         that it goes on at least a little whatever they look like.
+    limit: stop after so many records, at most as many as there are places. past_last: but take the steps to the next
+        record still, and stop before it.
     """
     network, membrane = lists
-    step, observe_and_check = _step_and_observe_and_check(scene, path, lists, dt, params, state)
+    step, observe_and_check = _stepping(scene, path, lists, dt, params, state)
 
     def going(carry):
         now, _ = carry
         on = path.going(now.watched, now.steps) | (now.due == 0)
         if records is not None:
-            on &= now.records < records
+            on &= (now.records < limit) | (past_last & (now.due > 0))
         return on & (at_start(now) & fresh | (now.due == 0) | ~now.worn) if until_worn else on
 
     def at_start(now):
@@ -146,9 +150,11 @@ def march_until(
         load = current_load(membrane, network, state, fixed)
         found, status = observe_and_check(state, load)
         due = now.due - taken
+        recorded = due == 0
         seen = now.seen
         if records is not None:
-            place = jnp.where(due == 0, now.records, records)  # beyond the end: not written
+            recorded &= now.records < limit
+            place = jnp.where(recorded, now.records, records)  # beyond the end: not written
             seen = jax.tree.map(lambda values, value: values.at[place].set(value, mode="drop"), seen, found)
         watched = jax.tree.map(
             lambda old, new: jnp.where(due == 0, new, old), now.watched, path.watch(found, network.dtype)
@@ -156,8 +162,8 @@ def march_until(
         return Stretch(
             state=state,
             seen=seen,
-            records=now.records + (due == 0),
-            due=jnp.where(due == 0, record_every, due),
+            records=now.records + recorded,
+            due=jnp.where(recorded, record_every, due),
             steps=now.steps + taken,
             watched=watched,
             status=now.status | status,
@@ -178,7 +184,7 @@ def march_until(
     return jax.lax.while_loop(going, further, (begun, load))[0]
 
 
-def _step_and_observe_and_check(scene: Scene, path: Path, lists: Lists, dt, params: Params, start: State):
+def _stepping(scene: Scene, path: Path, lists: Lists, dt, params: Params, start: State):
     """A step of the stage, (load, state) -> state; and what is observed of a state and its load, with status bits."""
     network, membrane = lists
     scene, params = path.scene(scene), path.params(params, network, membrane, start.platens)

@@ -90,7 +90,8 @@ class Isotropic(Path):
         # In a lattice the slowest mode, half a wave along the specimen, is damped critically; others settle within it.
         share = RANDOM_DAMPING if membrane.zone_rule == "exposure" else 1.0
         height = (platens[1] - platens[0]).astype(network.dtype)
-        rate = share * 2 * jnp.pi * wave_speed(params, network) / height
+        # How fast it settles is no property of where it settles, so it has no tangent.
+        rate = jax.lax.stop_gradient(share * 2 * jnp.pi * wave_speed(params, network) / height)
         heavier = {} if self.inertia is None else {"density": params.density * self.inertia}
         return replace(params, damping=BackgroundDamping(rate), friction=self.friction, **heavier)
 

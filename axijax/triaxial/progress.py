@@ -88,24 +88,34 @@ def begin(test: "TriaxialTest", params: Params) -> Progress:
 
 
 def go_on(test: "TriaxialTest", now: Progress) -> Progress:
-    """About 1000 steps further, or until a list is worn; lists that are worn are rebuilt first."""
+    """About 1000 steps further, or until a list is worn; lists that are worn are rebuilt first.
+
+    With `rebuild_every` they are rebuilt before the same records as by `simulate`.
+    """
     prepared = test.prepared
     lists, state = now.lists, now.state
     if now.worn:
         lists, state = rebuild_on_host(test.cut, lists, state)
     widely_graded = bool(test.cut.radius.max() > 2 * test.cut.radius.min())
+    places = -(-SEGMENT // test.record_every)
+    every, number = test.rebuild_every, now.records.height.size
+    left = places + 1
+    if every:  # records before the rebuild that is due; none where only steps to the next record are left before it
+        left = 0 if number and number % every == 0 and now.due else every - number % every
     reached = march_until(
-        test.scene, -(-SEGMENT // test.record_every), test.record_every, True, widely_graded, prepared.shear, lists,
+        test.scene, places, test.record_every, True, widely_graded, prepared.shear, lists,
         prepared.time_step, now.params, state, now.fixed, now.due, now.taken, now.worn,
+        min(places, left), left <= places,
     )  # fmt: skip
     seen = jax.tree.map(lambda values: np.asarray(values)[: int(reached.records)], reached.seen)
     joined = jax.tree.map(np.append, now.records, seen)
     if int(reached.status):
         raise_for_status(reached.status, make_curve(joined, now.confinement))
     network, membrane = lists
+    on_time = every and not int(reached.due) and joined.height.size % every == 0
     return now._replace(
         network=network, membrane=membrane, state=reached.state, records=joined,
-        due=int(reached.due), taken=int(reached.steps), worn=bool(reached.worn),
+        due=int(reached.due), taken=int(reached.steps), worn=bool(reached.worn or on_time),
     )  # fmt: skip
 
 

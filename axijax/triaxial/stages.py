@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from axijax.core.quantity import senseless
 from axijax.core.status import NOT_CONFINED, SENSELESS
 from axijax.mechanics.contact_list import closing
+from axijax.mechanics.contact_search import rebuild_in_jit
 from axijax.mechanics.dynamics import Scene, initial_state
 from axijax.mechanics.membrane import Load
 from axijax.mechanics.params import Params
@@ -35,6 +36,29 @@ def confine(prepared: Prepared, params: Params) -> tuple[State, Confinement]:
             prepared.lateral_load, CONFINE_EVERY, 0, True,
         )
     )  # fmt: skip
+
+
+def _confine_rebuilding(prepared: Prepared, params: Params) -> tuple[Lists, State, Confinement]:
+    """Confinement with its lists rebuilt inside jit where they are worn, as `settle` does on the host; pure."""
+    path, scene, dt = prepared.confinement, prepared.scene, prepared.time_step
+
+    def stretch(lists: Lists, state: State, steps) -> tuple[Lists, Stretch]:
+        size = None, CONFINE_EVERY, True, True
+        load = prepared.lateral_load
+        return lists, march_until(scene, *size, path, lists, dt, params, state, load, CONFINE_EVERY, steps, True)
+
+    def going(carry):
+        _, reached = carry
+        return path.going(reached.watched, reached.steps)
+
+    def further(carry):
+        lists, reached = carry
+        *lists, state = rebuild_in_jit(*lists, reached.state)
+        return stretch(tuple(lists), state, reached.steps)
+
+    start = _at_rest(scene, path, prepared.lists, params, prepared.platens)
+    lists, reached = jax.lax.while_loop(going, further, stretch(prepared.lists, start, 0))
+    return lists, *_ended(reached)
 
 
 def settle(
@@ -91,10 +115,14 @@ def start_shear(scene: Scene, params: Params, lists: Lists, confined: State) -> 
 def simulate(prepared: Prepared, params: Params) -> Curve:
     """The curve of a test, a pure function of its lists and parameters: confinement and shear.
 
-    One contact list serves it all, but for `rebuild_every`. Tests of one shape share the compiled program.
+    One contact list serves it all; with `rebuild_every` lists are rebuilt inside jit. Tests of one shape share the
+    compiled program.
     """
     numerics, lists, dt = prepared.numerics, prepared.lists, prepared.time_step
-    confined, balance = confine(prepared, params)
+    if numerics.rebuild_every:
+        lists, confined, balance = _confine_rebuilding(prepared, params)
+    else:
+        confined, balance = confine(prepared, params)
     start = start_shear(prepared.scene, params, lists, confined)
     fixed = fixed_load(numerics.refresh, prepared.lateral_load, lists, start)
     size = numerics.records, numerics.record_every, numerics.rebuild_every

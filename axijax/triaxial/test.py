@@ -71,7 +71,7 @@ class TriaxialTest:
     rebuild_every: int = setting(
         0,
         "records between which `simulate` rebuilds contact list and membrane during shear, for large strain and for "
-        "batches; zero keeps the first. `run` looks when they are worn instead",
+        "batches; zero keeps the first. `run` rebuilds them then, and wherever they are worn",
         "-",
         most=1e6,
         whole=True,
@@ -104,8 +104,13 @@ class TriaxialTest:
     @cached_property
     def prepared(self) -> Prepared:
         """Lists, time step and paths, made once; see `axijax.triaxial.prepare`."""
-        with jax.ensure_compile_time_eval():  # it may be asked for first inside a trace
+        with jax.ensure_compile_time_eval():  # or a first `simulate` inside jit would keep that trace's values
             return prepare(self)
+
+    @property
+    def derived(self) -> dict[str, float]:
+        """What follows from the settings by a rule of this program, for `axijax.core.fingerprint`."""
+        return {"time_step": float(self.prepared.time_step), "ramp_time": float(self.prepared.shear.ramp_time)}
 
     @property
     def network(self) -> ContactList:
