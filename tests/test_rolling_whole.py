@@ -11,9 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from few_balls import jit
+from rolling_reverse_mode import NUMBERS, energy
 from test_energy import sheared
 
 from axijax import Hertz, Params, Rolling, Scene, Torsion, TriaxialTest, fcc_octagon
+from axijax.triaxial.checkpoint import load_progress
 from calibrate.parameters import ParameterSet
 
 SMALL = fcc_octagon(layers=5, half_width=3)
@@ -46,6 +48,7 @@ def test_the_lattice_goes_from_free_to_blocked_rotation(rolling):
     assert 1.02 * float(free) < float(between) < 0.9 * float(blocked.max())
 
 
+@pytest.mark.slow
 def test_tangents_of_a_whole_test_agree_with_differences(rolling):
     """Of the stress ratio by eta_r and alpha_r, where some contacts yield."""
     test, rolled = rolling
@@ -65,6 +68,17 @@ def test_tangents_of_a_whole_test_agree_with_differences(rolling):
         np.testing.assert_allclose(tangent, difference, rtol=0, atol=1e-3 * np.abs(difference).max())
 
 
+def test_tangents_of_a_few_balls_agree_with_differences():
+    """By eta, alpha, eta_tw and alpha_tw, of balls that roll on one another past the cap."""
+    value = jit(energy)
+    tangents = jit(jax.vmap(lambda way: jax.jvp(energy, (NUMBERS,), (way,))[1]))(jnp.eye(4))
+    for tangent, h in zip(tangents, 1e-6 * jnp.eye(4), strict=True):
+        difference = float(value(NUMBERS + h) - value(NUMBERS - h)) / 2e-6
+        assert abs(difference) > 1e-4
+        assert float(tangent) == pytest.approx(difference, rel=1e-3)
+
+
+@pytest.mark.slow
 def test_reverse_mode_agrees_with_the_tangents():
     """In a process of its own, since the fast CPU kernels cannot take reverse mode."""
     script = Path(__file__).with_name("rolling_reverse_mode.py")
@@ -87,6 +101,19 @@ def test_the_ledger_of_a_whole_test_closes(material):
     # Hertzian springs close at second order in the step, with rolling as without.
     assert error.max() < 1e-6 * seen.platen_work[-1]
     assert seen.friction[-1] > 0.01 * seen.platen_work[-1]
+
+
+def test_a_checkpoint_keeps_the_springs(tmp_path):
+    """Stopped, saved, loaded and gone on with is the shear that never stopped, to the last bit."""
+    parts = {"rolling": Rolling(0.5, 0.02), "torsion": Torsion(0.5, 0.02)}
+    whole = small_test(Params(friction=0.3, platen_speed=0.03, **parts), 0.02)
+    path = tmp_path / "shear.npz"
+    replace(whole, axial_strain=0.01).run(checkpoint=path)
+    start = load_progress(path, whole)
+    springs = [memory.contact for memory in start.state.memory[3:]]
+    assert len(springs) == 2 and all(np.abs(np.asarray(spring)).max() > 1e-9 for spring in springs)
+    for one, other in zip(jax.tree.leaves(whole.run(start=start)), jax.tree.leaves(whole.run()), strict=True):
+        np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
 
 
 def test_a_fit_of_the_rolling_stiffness_holds_the_time_step():
