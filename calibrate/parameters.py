@@ -189,9 +189,10 @@ class ParameterSet:
     def params(self, base, coordinates, hold_time_step: bool = True):
         """`base` Params with these coordinates put in; pure, for traced coordinates.
 
-        hold_time_step: multiply the density by the larger of normal and tangential stiffness over their reference.
-            Every frequency over the reference time step then stays at or below the reference's, so that a test built
-            once serves a wide range of stiffness; the loading is faster against the waves by the root of that factor.
+        hold_time_step: multiply the density by the larger of normal and tangential stiffness over their reference,
+            and by what the resistances to rotation have grown beside it. Every frequency over the reference time step
+            then stays at or below the reference's, so that a test built once serves a wide range of stiffness; the
+            loading is faster against the waves by the root of that factor.
         """
         value = self._physical(coordinates)
         changes = {name: number for name, number in value.items() if name not in DERIVED}
@@ -205,4 +206,6 @@ class ParameterSet:
         stiffness = {"normal_stiffness", "shear_stiffness", RATIO, "shear_modulus", "poisson_ratio"}
         if hold_time_step and set(value) & stiffness:
             made = replace(made, density=made.density * made.material.stiffness_over(base.material))
+        if hold_time_step and set(value) & {"rolling_stiffness", "torsional_stiffness"}:
+            made = replace(made, density=made.density * made.material.turning_over(base.material))
         return made

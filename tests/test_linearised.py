@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import axijax.mechanics.linearised
-from axijax import Hertz, Params, Scene, Sector, Specimen, TriaxialTest, fcc_octagon
+from axijax import Hertz, Params, Rolling, Scene, Sector, Specimen, Torsion, TriaxialTest, fcc_octagon
 from axijax.core.quantity import quantity
 from axijax.core.tree import pytree
 from axijax.core.vector import Vector
@@ -71,7 +71,10 @@ SCENES = {
     "no friction, no dashpots": (lattice(QUARTER), PLAIN, Params(friction=None, damping=None)),
     "rough platens": (lattice(QUARTER), PLAIN, Params(platen_friction=0.3, shear_stiffness=2 * STIFFNESS)),
     "rough platens, no friction between balls": (lattice(HALF), PLAIN, Params(platen_friction=0.3, friction=None)),
+    "rolling": (lattice(QUARTER), PLAIN, Params(rolling=Rolling(0.7, 0.1), shear_stiffness=0.5 * STIFFNESS)),
+    "rolling and torsion, random": (heap(), PLAIN, Params(rolling=Rolling(0.7, 0.1), torsion=Torsion(2.0, 0.0))),
     "Hertz": (lattice(QUARTER), PLAIN, Params(Hertz(), **SLIGHT)),
+    "Hertz, torsion": (lattice(HALF), PLAIN, Params(Hertz(torsion=Torsion(2.0, 0.1)), **SLIGHT)),
     "Hertz, random, rough platens": (heap(), PLAIN, Params(Hertz(platen_friction=np.inf), **SLIGHT)),
 }
 

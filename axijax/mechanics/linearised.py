@@ -1,11 +1,11 @@
 """The motion of any scene about rest, linearised by JAX from `axijax.mechanics.dynamics.all_forces`: what sets the
 critical time step where a term or a material is not one that `axijax.mechanics.time_step` knows by heart (host).
 
-Every contact sticks: friction is without limit, and whatever is nearer than touching is pressed together. Tangential
-springs do not follow from the places of the balls; they grow in a step by slip rate times dt. So the forces' derivative
-by velocities and spins is C + dt K_t, of dashpots and tangential springs, and that by displacements is what is left of
-the stiffness. A term with springs of its own is seen if it lets them grow by a step before it takes their force, as
-contacts and walls do.
+Every contact sticks: friction and all other caps (`Term.stuck`) are without limit, and whatever is nearer than touching
+is pressed together. Tangential springs do not follow from the places of the balls; they grow in a step by slip rate
+times dt. So the forces' derivative by velocities and spins is C + dt K_t, of dashpots and tangential springs, and that
+by displacements is what is left of the stiffness. A term with springs of its own is seen if it lets them grow by a step
+before it takes their force, as contacts and walls do.
 """
 
 from collections.abc import Callable
@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from axijax.core.quantity import optional_parts
 from axijax.core.sector import plane_normals
 from axijax.core.vector import Vector, from_rows
 from axijax.mechanics.contact_list import ContactList
@@ -26,8 +27,8 @@ from axijax.mechanics.hertz import OVERLOAD, confined_force
 from axijax.mechanics.membrane import Load
 from axijax.mechanics.params import Params
 from axijax.mechanics.state import State
+from axijax.mechanics.term import STICKING, Term
 
-STICKING = 1e30  # friction coefficient at which nothing slips
 DEEPEST = 0.1  # largest overlap at which a law is taken, in sums of radii
 
 
@@ -128,7 +129,13 @@ def linearised(
 def _stuck(params: Params) -> dict[str, Any]:
     material = params.material
     limits = {"friction": STICKING, "platen_friction": np.inf}
-    return {name: limit for name, limit in limits.items() if getattr(material, name) is not None}
+    stuck: dict[str, Any] = {name: limit for name, limit in limits.items() if getattr(material, name) is not None}
+    stuck["terms"] = tuple(term.stuck() for term in params.terms)
+    for name in optional_parts(material):
+        part = getattr(material, name)
+        if isinstance(part, Term):
+            stuck[name] = part.stuck()
+    return stuck
 
 
 @partial(jax.jit, static_argnums=0)

@@ -96,5 +96,16 @@ class Material:
         many times its density the reference's time step serves."""
         raise NotImplementedError
 
+    def turning_over(self, reference: "Material"):
+        """How many times larger the resistances to rotation are over the tangential stiffness than a reference's, or 1
+        where none is larger [-]."""
+        pairs = (self.rolling, reference.rolling), (self.torsion, reference.torsion)
+        ratios = [
+            mine.ratio_and_friction()[0] / other.ratio_and_friction()[0]
+            for mine, other in pairs
+            if mine is not None and other is not None
+        ]
+        return jnp.asarray([1.0, *ratios]).max()
+
     # What the dashpots' coefficients 2 beta sqrt(k m*) are multiplied by, k being the tangent stiffness.
     dashpot_factor = 1.0

@@ -12,7 +12,7 @@ falls with it, so that no closed cycle gains energy.
 Both are parts of the material and terms of the scene: `Params(rolling=Rolling(rolling_friction=0.3))`, or by name.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,7 @@ from axijax.core.tree import pytree
 from axijax.core.vector import Vector, zeros
 from axijax.mechanics import capped_spring
 from axijax.mechanics.contacts import geometry, normal_force_of
-from axijax.mechanics.term import Memory, Push, Spent, Stored, Term
+from axijax.mechanics.term import STICKING, Memory, Push, Spent, Stored, Term
 
 
 class RotationResistance(Term):
@@ -36,6 +36,8 @@ class RotationResistance(Term):
     def part(self, vectors: Vector, normal: Vector) -> Vector:
         """The part of rotations that it resists."""
         raise NotImplementedError
+
+    stiffens = False  # what it adds is in `axijax.mechanics.time_step`
 
     def init(self, params, network):
         return Memory(contact=zeros(network.first.shape, network.dtype))
@@ -104,8 +106,9 @@ class Rolling(RotationResistance):
     """Resistance to rolling of one ball on another."""
 
     rolling_stiffness: jax.Array | float = quantity(
-        0.5, "rolling stiffness alpha_r, over R1 R2 times the tangential stiffness", "-", symbols=("alpha_r",)
-    )
+        0.5, "rolling stiffness alpha_r, over R1 R2 times the tangential stiffness", "-", above=0.0,
+        symbols=("alpha_r",),
+    )  # fmt: skip
     rolling_friction: jax.Array | float = quantity(
         0.1, "rolling friction eta_r: largest moment over the smaller radius times the normal force", "-",
         symbols=("eta_r",),
@@ -113,6 +116,9 @@ class Rolling(RotationResistance):
 
     def ratio_and_friction(self):
         return self.rolling_stiffness, self.rolling_friction
+
+    def stuck(self):
+        return replace(self, rolling_friction=STICKING)
 
     def part(self, vectors, normal):
         return vectors - normal * vectors.dot(normal)
@@ -124,8 +130,9 @@ class Torsion(RotationResistance):
     """Resistance to spinning of one ball against another about their normal."""
 
     torsional_stiffness: jax.Array | float = quantity(
-        0.5, "torsional stiffness alpha_tw, over R1 R2 times the tangential stiffness", "-", symbols=("alpha_tw",)
-    )
+        0.5, "torsional stiffness alpha_tw, over R1 R2 times the tangential stiffness", "-", above=0.0,
+        symbols=("alpha_tw",),
+    )  # fmt: skip
     torsional_friction: jax.Array | float = quantity(
         0.1, "torsional friction eta_tw: largest moment over the smaller radius times the normal force", "-",
         symbols=("eta_tw",),
@@ -133,6 +140,9 @@ class Torsion(RotationResistance):
 
     def ratio_and_friction(self):
         return self.torsional_stiffness, self.torsional_friction
+
+    def stuck(self):
+        return replace(self, torsional_friction=STICKING)
 
     def part(self, vectors, normal):
         return normal * vectors.dot(normal)

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from axijax.mechanics.state import State
 
 
+STICKING = 1e30  # friction coefficient at which nothing slips; inf times no force would be no number
+
+
 class Memory(NamedTuple):
     """What a term carries from step to step; pytrees, or None.
 
@@ -86,6 +89,10 @@ class Term:
     def forces(self, params: "Params", network: ContactList, dt, state: "State", memory: Memory) -> Push:
         """Forces at t, from positions at t and velocities at t - dt/2."""
         raise NotImplementedError
+
+    def stuck(self) -> "Term":
+        """Itself with no cap on its springs, for the critical time step."""
+        return self
 
     def spent(
         self, params: "Params", network: ContactList, dt, state: "State", memory: Memory, push: Push, mean: "State"

@@ -3,7 +3,7 @@
 import numpy as np
 
 from axijax.mechanics.contact_list import ContactList
-from axijax.mechanics.dynamics import Scene
+from axijax.mechanics.dynamics import Scene, terms_of
 from axijax.mechanics.dynamics import spins as scene_spins
 from axijax.mechanics.linearised import Operators, closed_contacts, coordinates, linearised, plates
 from axijax.mechanics.params import Params
@@ -28,7 +28,7 @@ def critical_time_step(scene: Scene, params: Params, network: ContactList, touch
     which takes longer: a program is compiled.
     """
     operators = None
-    if not any(term.stiffens for term in params.terms):
+    if not any(term.stiffens for term in terms_of(params)):
         operators = springs_and_dashpots(scene, params, network, touching_within)
     if operators is None:
         operators = linearised(scene, params, network, touching_within)
@@ -38,8 +38,8 @@ def critical_time_step(scene: Scene, params: Params, network: ContactList, touch
 def springs_and_dashpots(
     scene: Scene, params: Params, network: ContactList, touching_within: float
 ) -> Operators | None:
-    """What `axijax.mechanics.linearised.linearised` finds of contacts and walls alone, written by hand; None where the
-    material does not say how stiff it is."""
+    """What `axijax.mechanics.linearised.linearised` finds of contacts, their resistance to rotation, and walls, written
+    by hand; None where the material does not say how stiff it is."""
     material = params.material
     found = material.stiffest(network, params.confining_stress, touching_within)
     if found is None:
@@ -60,6 +60,12 @@ def springs_and_dashpots(
     stiffness = constants[0], constants[1] * material.frictional
     beta = float(np.asarray(material.kind_of_damping.viscosity_ratio or 0.0)) * material.dashpot_factor
     reduced = 1 / (1 / mass[first] + 1 / mass[second])
+    turns, arms = material.torsion or material.rolling, radius[first] * radius[second]
+    # Resistance to torsion and to rolling, over the radii's product.
+    turning = [
+        constants[1] * (0.0 if part is None else float(np.asarray(part.ratio_and_friction()[0])))
+        for part in (material.torsion, material.rolling)
+    ]
     viscosity = [2 * beta * np.sqrt(constant * reduced) for constant in stiffness]
 
     # Ball-plate contacts as springs to the ground.
@@ -90,6 +96,11 @@ def springs_and_dashpots(
         if spins:
             arm = np.cross(force, normal, axis=0)
             result[1] = radius * (collect(first, arm) + collect(second, turned(arm, -sin)))
+            if not viscous and turns:
+                relative = motion[1][:, first] - turned(motion[1][:, second], sin)
+                along = (relative * normal).sum(0) * normal
+                moment = share_of_contact * arms * (turning[0] * along + turning[1] * (relative - along))
+                result[1] += collect(first, moment) - collect(second, turned(moment, -sin))
         for balls, inward, *constants in ground:
             direction = inward[:, None]
             pressed, held = constants[viscous]
