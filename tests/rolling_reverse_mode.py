@@ -12,7 +12,6 @@ from few_balls import SCENE, few_balls, jit, no_load, still, unit_params
 from axijax import Dashpot, Rolling, Torsion
 from axijax.mechanics.dynamics import make_step
 
-
 NUMBERS = jnp.array([0.05, 0.5, 0.05, 0.8])  # eta, alpha, eta_tw, alpha_tw
 
 
