@@ -13,10 +13,10 @@ from axijax.app.case import Case, load_case
 from axijax.app.checks import _packing_checks
 from axijax.app.forecast import forecast
 from axijax.app.runs import packing_values
-from axijax.mechanics.dynamics import Params, Scene
+from axijax.mechanics.params import Params
 from axijax.specimen.specimen import fcc_octagon
+from axijax.triaxial import progress
 from axijax.triaxial.test import TriaxialTest
-from axijax.triaxial.test import test as triaxial
 
 
 def looked_at(**sections):
@@ -131,15 +131,16 @@ def test_a_gap_graded_sand_of_size_ratio_11_is_refused_at_once(tmp_path):
 
 def test_every_shear_with_less_friction_than_the_confinement_is_warned_of(monkeypatch):
     """Of the test's own parameters, of those that it is run with, and of a scene without friction."""
-    monkeypatch.setattr(triaxial, "settle", nothing_runs)
+    monkeypatch.setattr(progress, "settle", nothing_runs)
     specimen = fcc_octagon(layers=5, half_width=3)
     with pytest.warns(UserWarning, match=r"friction 0\.1 is below the confining_friction 0\.3"):
-        TriaxialTest(specimen, params=Params(friction=0.1), confining_friction=0.3)
+        TriaxialTest(specimen, params=Params(friction=0.1), confining_friction=0.3).prepared  # noqa: B018
     with pytest.warns(UserWarning, match="friction 0 is below"):
-        TriaxialTest(specimen, scene=Scene(friction=False), confining_friction=0.3)
+        TriaxialTest(specimen, params=Params(friction=None), confining_friction=0.3).prepared  # noqa: B018
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         test = TriaxialTest(specimen, params=Params(friction=0.3), confining_friction=0.3)
+        assert test.prepared
     with pytest.warns(UserWarning, match=r"friction 0\.2 is below"), pytest.raises(AssertionError):
         test.run(Params(friction=0.2))
 

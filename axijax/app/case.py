@@ -18,6 +18,7 @@ they exist once.
 """
 
 import inspect
+import math
 import re
 import textwrap
 from functools import lru_cache
@@ -179,10 +180,11 @@ class Case(Section):
         return self
 
     @model_serializer(mode="wrap")
-    def _holds(self, dump) -> dict[str, Any]:
-        """Of the parameters only those that the scene has, so that what is written can be read again."""
+    def _of_its_scene(self, dump) -> dict[str, Any]:
         sections = dump(self)
-        return {**sections, "parameters": {name: sections["parameters"][name] for name in self.scene.takes()}}
+        taken = self.scene.takes()
+        sections["parameters"] = {name: value for name, value in sections["parameters"].items() if name in taken}
+        return sections
 
     def build(self, specimen: Specimen | None = None) -> TriaxialTest:
         """The test. specimen: one that was made before, by `made`, and the case that `made` returned with it."""
@@ -206,7 +208,7 @@ class Case(Section):
         """
         for section, values in self:
             for name, value in values:
-                if isinstance(value, float) and value != 0 and not LEAST <= abs(value) <= MOST:
+                if isinstance(value, float) and value != 0 and math.isfinite(value) and not LEAST <= abs(value) <= MOST:
                     raise ValueError(f"{section}.{name} = {value:g}: must lie between {LEAST:g} and {MOST:g} in size.")
         if self.specimen.kind != "random":
             return self, self.specimen.build(), None
@@ -297,7 +299,7 @@ def to_toml(case: Case) -> str:
                 allowed = _allowed(about)
             told = [about.description, allowed, "" if default is None else f"default {_toml(default)}"]
             text = "; ".join(part for part in told if part)
-            lines += textwrap.wrap(text, 110, initial_indent="# ", subsequent_indent="#   ")
+            lines += textwrap.wrap(text, 110, initial_indent="# ", subsequent_indent="#   ", break_on_hyphens=False)
             value = getattr(values, field)
             lines.append(f"# {field} =" if value is None else f"{field} = {_toml(value)}")
     return "\n".join(lines) + "\n"

@@ -26,7 +26,7 @@ DAMPINGS: dict[str, type[Damping] | None] = {
 
 
 class Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, ser_json_inf_nan="constants")
 
 
 class SceneCase(Section):
@@ -53,10 +53,10 @@ class SceneCase(Section):
     def takes(self) -> dict[str, Quantity]:
         """The parameters that do something in this scene, by name."""
         found = {name: about for part in self.parts() for name, about in declared(part).items()}
-        if self.friction:
-            return found | _optional(MATERIALS[self.contact_law])
-        found.pop("friction")
-        return found
+        if not self.friction:
+            found.pop("friction")
+        # What resists relative rotation.
+        return found | (_optional(MATERIALS[self.contact_law]) if self.friction and self.rotation else {})
 
     def build(self) -> Scene:
         return Scene(rotation=self.rotation)
@@ -120,12 +120,12 @@ def check_used(scene: SceneCase, parameters: ParametersCase) -> None:
     if idle:
         them, do, are = ("them", "do", "are") if len(idle) > 1 else ("it", "does", "is")
         warnings.warn(
-            f"[parameters] {', '.join(sorted(idle))} {do} nothing with {_scene_of(scene)} and {are} left out: since "
-            f"version 0.2 a file names only what its scene has; delete {them}.",
+            f"[parameters] {', '.join(sorted(idle))} {do} nothing with {_scene_of(scene)} and {are} left out: older "
+            f"versions wrote what the scene has not; delete {them}.",
             stacklevel=2,
         )
 
 
 def _scene_of(scene: SceneCase) -> str:
-    friction = "" if scene.friction else ", friction = false"
-    return f"contact_law = '{scene.contact_law}', damping = '{scene.damping}'{friction}"
+    off = "".join(f", {name} = false" for name in ("friction", "rotation") if not getattr(scene, name))
+    return f"contact_law = '{scene.contact_law}', damping = '{scene.damping}'{off}"

@@ -6,7 +6,7 @@
 A checkpoint, a member of a batch and the log of a fit keep these parts and are refused where one differs. Nothing is
 named here: every field from which an object is made counts, at any depth, and the numbers that it derives from them by
 a rule of this program, which it names in `derived`: a change of the rule, such as that of the time step, makes another
-test, and a time step that is given is that of the rule where it is the same number.
+test, and a number that is given makes the same test as the rule that would have given it.
 """
 
 import hashlib
@@ -84,11 +84,9 @@ def _add(parts: dict[str, str], name: str, value: Any) -> None:
         parts[name] = f"{value.__module__}.{value.__qualname__}"
     elif is_dataclass(value):
         parts[name or "kind"] = type(value).__qualname__
-        derived = dict(getattr(value, "derived", {}))
-        for each in fields(value):  # a setting that was left to a rule is what the rule made of it
-            _add(parts, within(each.name), derived.pop(each.name, getattr(value, each.name, None)))
-        for inner, number in derived.items():
-            _add(parts, within(f"derived.{inner}"), number)
+        made_of = {each.name: getattr(value, each.name, None) for each in fields(value)}
+        for inner, held in (made_of | getattr(value, "derived", {})).items():
+            _add(parts, within(inner), held)
     elif isinstance(value, Mapping):
         parts[name or "kind"] = f"{type(value).__qualname__} of {len(value)}"
         for key, inner in value.items():

@@ -8,12 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from axijax.core.quantity import parts_of
 from axijax.mechanics.contact_list import ContactList, build_contact_list
 from axijax.mechanics.contact_search import grid_for
 from axijax.mechanics.dynamics import Scene
 from axijax.mechanics.membrane import Load, Membrane, build_membrane, check_load
 from axijax.mechanics.params import Params, check_params
 from axijax.mechanics.rebuild import roomy_lists
+from axijax.mechanics.rolling import RotationResistance
 from axijax.mechanics.time_step import DEFAULT_STEP, check_step, critical_time_step
 from axijax.triaxial.feasible import pressed_in
 from axijax.triaxial.paths import Compression, Isotropic, wave_speed
@@ -88,6 +90,12 @@ def prepare(test: "TriaxialTest") -> Prepared:
     warn_of_slipping(params, test.confining_friction)
     for term in params.terms:
         term.check(sector)
+    for part in parts_of(params.material):
+        if isinstance(part, RotationResistance) and not (test.scene.rotation and params.material.frictional):
+            raise ValueError(
+                f"{type(part).__name__.lower()} = {part!r}: would do nothing where no ball spins (friction None, or "
+                "Scene(rotation=False)); leave it out."
+            )
     if cut.zone_rule == "exposure" or test.rebuild_every:
         # A random specimen was made under stress, which presses soft balls into one another.
         soft = cut.zone_rule == "exposure"

@@ -109,7 +109,7 @@ class TriaxialTest:
 
     @property
     def derived(self) -> dict[str, float]:
-        """What the settings leave to a rule of this program, for `axijax.core.fingerprint`."""
+        """What follows from the settings by a rule of this program, for `axijax.core.fingerprint`."""
         return {"time_step": float(self.prepared.time_step), "ramp_time": float(self.prepared.shear.ramp_time)}
 
     @property
