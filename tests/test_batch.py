@@ -45,7 +45,7 @@ def singles():
 def batch(tmp_path_factory):
     """The members and one of another specimen (of the same shape: nothing more to compile), in a folder."""
     folder = tmp_path_factory.mktemp("batch")
-    other = Member("large", tiny(radius=40.0), labels={"radius": 40.0})
+    other = Member("large", tiny(radius=40.0), labels={"radius": 40.0, "damping": "dashpot"})
     return folder, run_batch([*members(), other], folder), other
 
 
@@ -91,6 +91,9 @@ def test_one_data_set_of_all(batch):
         assert float(one.peak_ratio) == curve.stress_ratio.max()
     assert float(data.sel(member="friction=0.2").friction) == 0.2
     assert float(data.sel(member=other.name).radius) == 40
+    assert data.sel(member=other.name).damping == "dashpot" and data.sel(member="friction=0.2").damping == ""
+    (row,) = [line for line in (folder / "summary.csv").read_text().splitlines() if line.startswith("large,")]
+    assert "40.0,dashpot," in row
     assert np.isnan(data.sel(member="friction=0.2").radius)
     assert data.sel(member=list(result.curves)).equals(result.dataset())
 

@@ -14,10 +14,12 @@ import jax
 import numpy as np
 import pytest
 from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
+from small_result import CASE
 from typer.testing import CliRunner
 
 from axijax.app import figures as pictures
 from axijax.app import paraview, plot
+from axijax.app.case import Case
 from axijax.app.checks import result_checks
 from axijax.app.report import report_page
 from axijax.app.results import open_result
@@ -187,6 +189,13 @@ def test_curves_theory_and_data_are_drawn_as_they_are(result, folder):
     np.testing.assert_allclose(lines["measured, lab.csv"].get_xydata(), [[0.1, 2], [0.2, 3]])
     np.testing.assert_allclose(lower.lines[0].get_ydata(), 100 * result.curve.volumetric_strain)
     assert "[%]" in lower.get_xlabel() and "[-]" in upper.get_ylabel()
+
+
+def test_runs_are_named_by_what_was_chosen_not_by_what_follows(result):
+    """Another contact law has other parameters, which its name says already."""
+    other = replace(result)
+    other.__dict__["case"] = Case(**CASE | {"scene": {"contact_law": "hertz"}})
+    assert plot.labels([result, other]) == ["contact law linear", "contact law hertz"]
 
 
 def test_force_network_is_as_wide_as_the_forces(moment):

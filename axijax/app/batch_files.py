@@ -158,7 +158,7 @@ def write_summary(folder: Path) -> None:
         for data in map(_load, files):
             labels = json.loads(data.attrs["labels"])
             names |= dict.fromkeys(labels)
-            values = {name: data[name].values[0].item() for name in (*labels, *PEAK, "seconds")}
+            values = {name: data[name].values.tolist()[0] for name in (*labels, *PEAK, "seconds")}
             rows.append({"member": str(data.member.values[0]), **values})
         rows += [json.loads(file.read_text()) for file in failed]
         columns = ("member", *names, *PEAK, "seconds", "failure")

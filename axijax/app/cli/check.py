@@ -66,7 +66,8 @@ def _print_forecast(found: "Forecast") -> None:
         print(f"{name:20}{text}")
     for text in found.warnings:
         print(f"warning: {text}.")
-    print("no warnings" if not found.warnings else f"{len(found.warnings)} warnings")
+    count = len(found.warnings)
+    print(f"{count or 'no'} warning{'' if count == 1 else 's'}")
 
 
 def _duration(seconds: float) -> str:
