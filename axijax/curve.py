@@ -43,7 +43,7 @@ class Curve:
     axial_strain: shortening over the height at the end of confinement [-].
     volumetric_strain: loss of volume over the volume at the end of confinement [-]; what the volume is, see
         `axijax.volume`.
-    void_ratio: counted below the skin, as there [-].
+    void_ratio: voids over solids [-], of a random specimen counted below the skin, of a lattice that of pi Rm^2 H.
     confinement: what was observed at the end of confinement; stress_error there is |s1 - s3| / s3.
     status: bits, zero for a sound run (see `raise_for_status`).
     """

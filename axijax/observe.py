@@ -25,7 +25,8 @@ class Observation(NamedTuple):
         of the height [-].
     height, membrane_radius: distance of the platens and radius Rm [L].
     volume: of the full cylinder, see `axijax.volume` [L^3].
-    void_ratio: voids over solids below the skin, counted [-].
+    void_ratio: voids over solids [-]: of a random specimen counted below the skin; of a lattice volume over that of its
+        balls less one, lower than in the crystal since its outer balls stand out of Rm.
     coordination_number: mean number of touching contacts of a ball, platens not counted [-].
     unbalanced_force: mean resultant on a ball over mean contact force [-].
     sliding_fraction: share of the touching contacts at the Coulomb limit [-].
@@ -55,11 +56,13 @@ def observe(
     platen_force = forces.platen_forces(network).mean()
     lateral = lateral_force(params.confining_stress, load, place)
     radius = membrane_radius(membrane, place)
-    voids = void_ratio(place, network.radius, network.weight, network.sector, state.platens.astype(network.dtype))
+    solids = solid_volume(network.radius, network.weight, network.sector)
     if membrane.zone_rule == "exposure":
-        volume = (1 + voids) * solid_volume(network.radius, network.weight, network.sector)
+        voids = void_ratio(place, network.radius, network.weight, network.sector, state.platens.astype(network.dtype))
+        volume = (1 + voids) * solids
     else:
         volume = jnp.pi * radius**2 * height
+        voids = volume / solids - 1
 
     force = forces.contacts.force
     pair = geometry(network, state.displacement)

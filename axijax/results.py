@@ -34,7 +34,7 @@ LONG_NAMES = {
     "virial_ratio": "stress ratio s1/s3 from platen force and membrane forces, free of any area",
     "core_ratio": "vertical over horizontal Love-Weber stress of the inner core",
     "volumetric_strain": "volumetric strain, compression positive",
-    "void_ratio": "voids over solids below the skin of the specimen, counted",
+    "void_ratio": "voids over solids, below the skin of a random specimen, in pi Rm^2 H of a lattice",
     "coordination_number": "mean number of contacts of a ball",
     "unbalanced_force": "mean resultant over mean contact force",
     "sliding_fraction": "share of the contacts at the Coulomb limit",
