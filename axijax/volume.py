@@ -167,9 +167,10 @@ def _outermost(place: Vector, rho, angle, reach, bottom, top, shape: tuple[int, 
         middle, aside = _along_line(place.at(ball), column, columns, sector)
         height = bottom + (row + 0.5).astype(rho.dtype) / per_height
         distance = _leaving(middle[:, None], aside[:, None], height - place.z[ball], reach[ball])
-        inside = row < rows
+        # A last tile stands over; a ball without any, looked at behind the end of the list, may have one anywhere.
+        inside = (row >= 0) & (row < rows)
         if sector.boundary == "rigid":
-            inside = inside & (column < columns)[:, None]
+            inside = inside & ((column >= 0) & (column < columns))[:, None]
         wrapped = np.arange(-around, 2 * around, dtype=np.int32) % columns * rows
         point = jnp.asarray(wrapped).at[column + around].get(mode="clip")[:, None] + jnp.clip(row, 0, rows - 1)
         return point, jnp.where(inside, rank(distance, order[ball]), 0)
