@@ -119,10 +119,11 @@ def test_a_ball_squeezed_out_does_not_lift_the_surface():
 @pytest.mark.parametrize("sector", [Sector(1), Sector(4), Sector(5, "rigid")], ids=str)
 @pytest.mark.parametrize(
     ("count", "ratio", "stretch", "dtype"),
-    [(300, 1, 1, np.float64), (300, 6, 1, np.float64), (300, 6, 1, np.float32), (9, 1, 5, np.float64)],
+    [(300, 1, 1, float), (300, 6, 1, float), (300, 6, 1, np.float32), (9, 6, 1, float), (9, 1, 5, float)],
 )
 def test_the_skin_is_made_by_the_outermost_of_all_balls(sector, count, ratio, stretch, dtype):
-    """In a bulging specimen, against all balls and their images on every line; nine far apart leave lines that meet none."""
+    """In a bulging specimen, against all balls and images on every line; of nine, big ones reach past the ends of the
+    surface, and small ones that are far apart leave lines that meet none."""
     places, radius, (_, top) = thrown(sector, count)
     places[2], top = stretch * places[2], stretch * top
     radius = radius * np.exp(np.random.default_rng(1).random(count) ** 3 * np.log(ratio))
@@ -144,7 +145,7 @@ def test_the_skin_is_made_by_the_outermost_of_all_balls(sector, count, ratio, st
     polar = jnp.hypot(vector.x, vector.y), jnp.arctan2(vector.y, vector.x)
     ball = np.asarray(_outermost(vector, *polar, jnp.asarray(reach), 0.0, top, (columns, rows), sector))
     found = np.take_along_axis(distance, ball[..., None], axis=2)[..., 0]
-    np.testing.assert_allclose(found, distance.max(axis=2), rtol=1e-11 if dtype == np.float64 else 1e-4)
+    np.testing.assert_allclose(found, distance.max(axis=2), rtol=1e-4 if dtype == np.float32 else 1e-11)
     assert stretch == 1 or (found == 0).any()
 
 
