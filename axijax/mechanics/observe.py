@@ -25,7 +25,8 @@ class Observation(NamedTuple):
         of the height [-].
     height, membrane_radius: distance of the platens and radius Rm [L].
     volume: of the full cylinder, see `axijax.mechanics.volume` [L^3].
-    void_ratio: voids over solids below the skin, counted [-].
+    void_ratio: voids over solids of a random specimen, counted below the skin [-]; NaN for a lattice, where nothing is
+        counted: its cylinder of radius Rm is smaller than the balls', and would give 0.12 where the crystal has 0.35.
     coordination_number: mean number of touching contacts of a ball, platens not counted [-].
     unbalanced_force: mean resultant on a ball over mean contact force [-].
     sliding_fraction: share of the touching contacts at the Coulomb limit [-].
@@ -55,11 +56,13 @@ def observe(
     platen_force = forces.platen_forces(network).mean()
     lateral = lateral_force(params.confining_stress, load, place)
     radius = membrane_radius(membrane, place)
-    voids = void_ratio(place, network.radius, network.weight, network.sector, state.platens.astype(network.dtype))
+    solids = solid_volume(network.radius, network.weight, network.sector)
     if membrane.zone_rule == "exposure":
-        volume = (1 + voids) * solid_volume(network.radius, network.weight, network.sector)
+        voids = void_ratio(place, network.radius, network.weight, network.sector, state.platens.astype(network.dtype))
+        volume = (1 + voids) * solids
     else:
         volume = jnp.pi * radius**2 * height
+        voids = jnp.full_like(volume, jnp.nan)
 
     force = forces.contacts.force
     pair = geometry(network, state.displacement)

@@ -1,6 +1,7 @@
 """What the volume of a specimen is, from the positions of its balls and platens alone.
 
-A lattice keeps its membrane zone, and its volume is pi Rm^2 H. The outer balls of a random specimen come and go, small
+A lattice keeps its membrane zone: its volume is pi Rm^2 H, its void ratio e this over the volume of its balls less one,
+and none of what follows is computed for it (`axijax.observe`). The outer balls of a random specimen come and go, small
 ones drop into pores, and no mean over whichever are outermost now can be followed through that: the volume of a random
 specimen is that of its solids times 1 + e, the solids being known and the void ratio e being counted below the skin.
 
@@ -23,7 +24,7 @@ from axijax.core.vector import Vector
 
 SPACING = 1.0  # of the points at which the surface is found, in radii of equal balls filling twice the height in width
 SMOOTH = 1.5  # radii over which the surface is smoothed, as the standard deviation of a Gaussian
-WIDE, TALL, CHUNK = 6, 5, 256
+WIDE, TALL, CHUNK = 6, 5, 256  # columns and rows of a tile, which holds a ball of the mean size; tiles written at once
 # Points and weights along a ball's diameter by which a cubic's mean over the ball is exact (Gauss-Gegenbauer).
 NODES = ((0.0, 16 / 30), ((3 / 7) ** 0.5, 7 / 30), (-((3 / 7) ** 0.5), 7 / 30))
 
@@ -138,17 +139,20 @@ def _outermost(place: Vector, rho, angle, reach, bottom, top, shape: tuple[int, 
     order = ball_of(farthest)
     place, rho, angle, reach = jax.tree.map(lambda values: values[order], (place, rho, angle, reach))
 
-    def tiles(middle, half, most, size):
-        """First of the points within `half` of a place, in points, and the number of tiles for all of them."""
-        first = jnp.ceil(middle - half).astype(jnp.int32)
-        count = jnp.floor(middle + half).astype(jnp.int32) - first + 1
-        return first, (jnp.clip(count, 0, most) + size - 1) // size
+    def tiles(middle, half, least, most, size):
+        """First of the points within `half` of a place, counted in points, and the number of tiles for all of them."""
+        first = jnp.maximum(jnp.ceil(middle - half).astype(jnp.int32), least)
+        last = jnp.minimum(jnp.floor(middle + half).astype(jnp.int32), most)
+        return first, (jnp.maximum(last - first + 1, 0) + size - 1) // size
 
     sine = reach / jnp.maximum(rho, reach)
     half = sine * (1 + (np.pi / 2 - 1) * sine**2)  # never less than the arcsine
     per_angle, per_height = columns / sector.angle, rows / (top - bottom)
-    left, beside = tiles(angle * per_angle - 0.5, jnp.minimum(half * per_angle, columns / 2), columns, WIDE)
-    lowest, above = tiles((place.z - bottom) * per_height - 0.5, reach * per_height, rows, TALL)
+    half, limits = half * per_angle, (0, columns - 1)
+    if sector.boundary == "periodic":  # once round the sector is enough, its images follow
+        half, limits = jnp.minimum(half, columns / 2), (-around, 2 * around - 1)
+    left, beside = tiles(angle * per_angle - 0.5, half, *limits, WIDE)
+    lowest, above = tiles((place.z - bottom) * per_height - 0.5, reach * per_height, 0, rows - 1, TALL)
     ends = jnp.cumsum(beside * above, dtype=jnp.int32)
 
     def unfinished(carried):
@@ -156,13 +160,14 @@ def _outermost(place: Vector, rho, angle, reach, bottom, top, shape: tuple[int, 
         return (done < ends[-1]) & (best.min() < farthest[ball] & ~low_bits)
 
     def entries(tile, ball):
-        """The points of these tiles of these balls, and what is written there, (WIDE, TALL, CHUNK)."""
+        """The points of these tiles of these balls, and what is written there, both (WIDE, TALL, CHUNK)."""
         part = tile - (ends - beside * above)[ball]
         column = left[ball] + part % beside[ball] * WIDE + np.arange(WIDE, dtype=np.int32)[:, None]
         row = lowest[ball] + part // beside[ball] * TALL + np.arange(TALL, dtype=np.int32)[:, None]
         middle, aside = _along_line(place.at(ball), column, columns, sector)
         height = bottom + (row + 0.5).astype(rho.dtype) / per_height
         distance = _leaving(middle[:, None], aside[:, None], height - place.z[ball], reach[ball])
+        # A last tile stands over; a ball without any, looked at behind the end of the list, may have one anywhere.
         inside = (row >= 0) & (row < rows)
         if sector.boundary == "rigid":
             inside = inside & ((column >= 0) & (column < columns))[:, None]
@@ -175,8 +180,9 @@ def _outermost(place: Vector, rho, angle, reach, bottom, top, shape: tuple[int, 
         tile = done + jnp.arange(CHUNK, dtype=jnp.int32)
         ball = jnp.searchsorted(ends, tile, side="right", method="scan_unrolled").astype(jnp.int32)
         ball = jnp.minimum(ball, balls - 1)
-        shape = WIDE, TALL, CHUNK
-        blank = jnp.zeros(shape, jnp.int32), jnp.zeros(shape, jnp.int64)
+        # There is always a tile left. But XLA fuses across everything but a branch, and the entries together with the
+        # scatter make a loop that is not vectorised and takes twice as long.
+        blank = jax.tree.map(lambda made: jnp.zeros(made.shape, made.dtype), jax.eval_shape(entries, tile, ball))
         point, found = jax.lax.cond(done < ends[-1], entries, lambda *_: blank, tile, ball)
         return done + CHUNK, ball[-1], best.at[point.ravel()].max(found.ravel(), mode="promise_in_bounds")
 

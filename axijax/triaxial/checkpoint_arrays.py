@@ -38,7 +38,7 @@ INDICES = {
 }
 
 # Records that a specimen with an empty core does not have.
-MAY_BE_NAN = ("records.core_ratio",)
+MAY_BE_NAN = ("records.core_ratio", "records.void_ratio")
 
 
 def what_is_wrong(

@@ -56,7 +56,7 @@ class Curve:
     axial_strain: shortening over the height at the end of confinement [-].
     volumetric_strain: loss of volume over the volume at the end of confinement [-]; what the volume is, see
         `axijax.mechanics.volume`.
-    void_ratio: counted below the skin, as there [-].
+    void_ratio: voids over solids of a random specimen, counted below the skin [-]; NaN for a lattice.
     confinement: what was observed at the end of confinement; stress_error there is |s1 - s3| / s3.
     status: bits, zero for a sound run (see `raise_for_status`).
     """
@@ -66,7 +66,7 @@ class Curve:
     virial_ratio: jax.Array = recorded("stress ratio s1/s3 from platen force and membrane forces, free of any area")
     core_ratio: jax.Array = recorded("vertical over horizontal Love-Weber stress of the inner core")
     volumetric_strain: jax.Array = recorded("volumetric strain, compression positive")
-    void_ratio: jax.Array = recorded("voids over solids below the skin of the specimen, counted")
+    void_ratio: jax.Array = recorded("voids over solids below the skin, counted; none for a lattice")
     coordination_number: jax.Array = recorded("mean number of contacts of a ball")
     unbalanced_force: jax.Array = recorded("mean resultant over mean contact force")
     sliding_fraction: jax.Array = recorded("share of the contacts at the Coulomb limit")
