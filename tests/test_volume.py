@@ -255,17 +255,15 @@ def counted(places, radius, platens, step):
 @pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.05, 0.5])
 def test_widely_graded_specimens_against_their_solids(friction, tmp_path):
-    """Cu = 2.2, to 10 %: within 1 % of strain of the count, whose own choice of skin and weight shifts it by half a per
-    cent. The mean distance of the outer balls was wrong by 4 to 5 %."""
+    """Cu = 2.2, to 10 %: within 0.7 % of strain of the count, which finds its own skin; two counts differ by half a per
+    cent with how deep they begin. The mean distance of the outer balls was wrong by 4 to 5 %."""
     path = tmp_path / "sand.csv"
     path.write_text("opening,passing\n20,0\n25,10\n40,35\n55,60\n65,100\n")
     sector = Sector(5)
-    specimen, report = random_cylinder(
-        750, sector, grading=sieve_curve(path), compaction_friction=friction, seed=2, tolerance=2e-3
-    )
+    specimen, report = random_cylinder(1500, sector, grading=sieve_curve(path), compaction_friction=friction, seed=2)
     params = Params(friction=0.5)
-    params = replace(params, platen_speed=platen_speed(1e-2, specimen, params))
-    test = TriaxialTest(specimen, sector, params=params, axial_strain=0.1, confining_friction=friction, tolerance=2e-3)
+    params = replace(params, platen_speed=platen_speed(4e-3, specimen, params))
+    test = TriaxialTest(specimen, sector, params=params, axial_strain=0.1, confining_friction=friction, tolerance=1e-3)
     run = test.run()
 
     def count(places, platens):
@@ -275,5 +273,5 @@ def test_widely_graded_specimens_against_their_solids(friction, tmp_path):
     first, last = count(test.cut.positions, (specimen.bottom, specimen.top)), count(run.positions, run.state.platens)
     expected = 1 - (1 + last) / (1 + first)
     assert report.compaction_friction == friction and abs(expected) > 5e-3
-    assert float(run.curve.volumetric_strain[-1]) == pytest.approx(expected, abs=0.01), (first, last)
+    assert float(run.curve.volumetric_strain[-1]) == pytest.approx(expected, abs=0.007), (first, last)
     assert (float(run.curve.volumetric_strain[-1]) > 0) == (expected > 0)
