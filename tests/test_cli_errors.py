@@ -75,10 +75,14 @@ def test_no_home(monkeypatch):
     monkeypatch.setattr(platform.Path, "expanduser", homeless)
     for name in ("XDG_CACHE_HOME", platform.CACHE_VARIABLE):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setitem(platform.jax.config.values, "jax_compilation_cache_dir", None)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        assert platform.use_compilation_cache() is None
+    before = platform.jax.config.jax_compilation_cache_dir  # another test of this process may have set one
+    platform.jax.config.update("jax_compilation_cache_dir", None)
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            assert platform.use_compilation_cache() is None
+    finally:
+        platform.jax.config.update("jax_compilation_cache_dir", before)
     assert "no home folder" in str(caught[0].message)
 
 
