@@ -7,15 +7,16 @@ All paths of a triaxial test are two conditions on axial and lateral strain and 
 
 The platens are a source of velocity, so an axial stress is reached by a servo; the membrane is a source of stress, so a
 lateral strain is. Either servo is that of a boundary that lets waves pass instead of throwing them back: for an error
-in stress the platens give way at error / (rho c), for an error in speed the membrane presses by rho c times it. To this
-comes what takes a lasting error away, a few times slower than a wave crosses. Nothing is to be tuned: c is the
-specimen's wave speed, rho its density, rho c^2 its stiffness against a wave (C11 of an FCC array).
+in stress the platens give way at error / (rho c), for an error in speed the membrane presses by rho c times it.
+Nothing is to be tuned: c is the
+specimen's wave speed, rho its density, rho c^2 its stiffness against a wave (C11 of an FCC array). A platen that moves as
+long as there is an error leaves none; one of the membrane is taken away a few times slower than a wave crosses.
 
 A quantity that is led to a value (strain, axial or lateral stress) gains speed, and brakes, so that it arrives without
 overshoot (`towards`). Stresses are effective, compression is positive.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -24,9 +25,11 @@ import jax.numpy as jnp
 from axijax.core.quantity import quantity
 from axijax.core.tree import pytree
 
-STIFF = 10.0  # of a membrane that holds a lateral strain, over the specimen's stiffness
-LASTING = 4.0  # times that a wave crosses, within which a lasting error is taken away
+STIFF = 2.0  # of a membrane that holds a lateral strain, over the specimen's stiffness
+GIVING = 5.0  # times faster than what lets a wave pass, that the platens give way to an error
+LASTING = 4.0  # times that a wave crosses, within which the membrane takes a lasting error away
 FASTEST = 10.0  # times the platen speed, that platens may run after a stress
+QUIET = 0.25  # times the rate of stress at which the platen speed loads an elastic specimen; where none is given
 LEAST = 1e-3  # share of the confining stress below which the membrane is not relieved
 
 
@@ -103,8 +106,8 @@ def _led(value) -> Arriving:
 
 
 def _stress_rate(given, start: Start, height):
-    """The given one, or as fast as the platen speed would load an elastic specimen [F/(L^2 T)]."""
-    return start.stiffness * 2 * start.speed / height if given is None else given
+    """The given one, or a quarter of that at which the platen speed loads an elastic specimen [F/(L^2 T)]."""
+    return QUIET * start.stiffness * 2 * start.speed / height if given is None else given
 
 
 class Platens:
@@ -152,7 +155,7 @@ class Cycling(Platens):
     speed: jax.Array | float | None = quantity(
         None, "speed of each platen; left out: parameters.platen_speed", "L/T", above=0.0, optional=True
     )
-    of: Literal["axial_strain", "deviator_stress"] = "axial_strain"
+    of: Literal["axial_strain", "deviator_stress"] = field(default="axial_strain", metadata={"static": True})
 
     def begin(self, start):
         return jnp.zeros((), jnp.int32)
@@ -170,13 +173,6 @@ class Cycling(Platens):
 
     def finished(self, memory):
         return memory >= 2 * self.cycles
-
-
-class PressedMemory(NamedTuple):
-    """The axial stress that is led, and the closing rate [L/T] that takes a lasting error away."""
-
-    led: Arriving
-    lasting: jax.Array
 
 
 @pytree
@@ -197,10 +193,10 @@ class Pressed(Platens):
     along: jax.Array | float | None = None
 
     def begin(self, start):
-        return PressedMemory(_led(start.axial_stress), jnp.zeros_like(start.axial_stress))
+        return _led(start.axial_stress)
 
     def closing(self, now, start, memory):
-        led = memory.led
+        led = memory
         if self.axial_stress is not None and self.along is None:
             led = led.further(self.axial_stress, _stress_rate(self.stress_rate, start, now.height), start.ramp, now.dt)
         elif self.axial_stress is not None:
@@ -209,19 +205,26 @@ class Pressed(Platens):
             wanted = start.axial_stress + (self.axial_stress - start.axial_stress) * share
             led = Arriving(wanted, led.rate, jnp.abs(share - 1) < 1e-9)
         error = led.value - now.axial_stress
+        # What an elastic specimen needs to follow; what more it gives, it gives way to the error.
+        following = (led.value - memory.value) / now.dt * now.height / start.stiffness
         most = 2 * FASTEST * start.speed
-        giving = 2 * error / start.impedance
-        lasting = jnp.clip(memory.lasting + giving * now.dt / (LASTING * start.axial_time), -most, most)
-        return jnp.clip(lasting + giving, -most, most), PressedMemory(led, lasting), error
+        return jnp.clip(following + 2 * GIVING * error / start.impedance, -most, most), led, error
 
     def finished(self, memory):
-        return None if self.axial_stress is None else memory.led.there
+        return None if self.axial_stress is None else memory.there
+
+
+def quieted(now: Now, start: Start, mean):
+    """The stress by which the membrane damps what oscillates about its mean motion, or a wave between platens and
+    membrane would grow; and the mean rate of lateral strain one step later."""
+    mean = mean + (now.lateral_rate - mean) * now.dt / (LASTING * start.lateral_time)
+    return start.stiffness * start.lateral_time * (mean - now.lateral_rate), mean
 
 
 class Membrane:
     """What a command for the membrane is to a stage."""
 
-    needs_strain = False  # whether the lateral strain is to be kept
+    needs_strain = True  # whether the lateral strain is to be kept
 
     def begin(self, start: Start) -> Any:
         """Its memory at the start."""
@@ -242,6 +245,8 @@ class Membrane:
 class Held(Membrane):
     """The lateral stress of the start."""
 
+    needs_strain = False
+
     def press(self, now, start, memory):
         return now.lateral_stress, memory, None, None
 
@@ -250,6 +255,8 @@ class Held(Membrane):
 @dataclass(frozen=True)
 class Moved(Membrane):
     """A lateral stress that is led to a value."""
+
+    needs_strain = False
 
     lateral_stress: jax.Array | float = quantity(5.0e4, "lateral stress to which it is led", "F/L^2", above=0.0)
     stress_rate: jax.Array | float | None = quantity(
@@ -280,10 +287,14 @@ class Line(Membrane):
         least=-jnp.inf, optional=True,
     )  # fmt: skip
 
+    def begin(self, start):
+        return jnp.zeros_like(start.lateral_stress)
+
     def press(self, now, start, memory):
         share = -0.5 if self.dq_dp is None else (3 - self.dq_dp) / (3 + 2 * self.dq_dp)
         wanted = start.lateral_stress + share * (now.axial_stress - start.axial_stress)
-        return wanted, memory, None, wanted - now.lateral_stress
+        damping, mean = quieted(now, start, memory)
+        return wanted + damping, mean, None, damping
 
 
 @pytree
@@ -292,8 +303,6 @@ class Sideways(Membrane):
     """A lateral strain that goes with the axial one: 0 is K0, -1/2 constant volume (undrained)."""
 
     share: jax.Array | float = -0.5
-
-    needs_strain = True
 
     def begin(self, start):
         return start.lateral_stress
@@ -316,9 +325,11 @@ class Fluid(Membrane):
     fluid_modulus: jax.Array | float = quantity(1.0e8, "bulk modulus of the pore fluid", "F/L^2", above=0.0)
     porosity: jax.Array | float = quantity(0.4, "volume of the pores over the whole", "-", above=0.0, below=1.0)
 
-    needs_strain = True
+    def begin(self, start):
+        return jnp.zeros_like(start.lateral_stress)
 
     def press(self, now, start, memory):
         axial, lateral = now.axial_strain - start.axial_strain, now.lateral_strain - start.lateral_strain
         pressure = start.pore_pressure + self.fluid_modulus / self.porosity * (axial + 2 * lateral)
-        return start.lateral_stress + start.pore_pressure - pressure, memory, pressure, None
+        damping, mean = quieted(now, start, memory)
+        return start.lateral_stress + start.pore_pressure - pressure + damping, mean, pressure, damping

@@ -25,6 +25,7 @@ from axijax.mechanics.membrane import lateral_force
 from axijax.mechanics.state import State
 from axijax.triaxial.commands import (
     LEAST,
+    QUIET,
     Cycling,
     Fluid,
     Held,
@@ -220,7 +221,7 @@ class Stage(Path):
     def duration(self, start):
         bounds = [] if self.until.time is None else [float(self.until.time)]
         (low, high), axial, lateral = start.axial_strain, start.axial_stress, start.lateral_stress
-        default = start.stiffness * 2 * start.speed / start.height
+        default = QUIET * start.stiffness * 2 * start.speed / start.height
         settling = 6 * start.ramp
 
         def leads(to, origin, given):
