@@ -225,7 +225,7 @@ def _each(task: Sequence[Member], tell, done) -> None:
         test = member.test
 
         def advance(now: Progress, member=member) -> None:
-            tell(member.name, min(now.strain / member.test.axial_strain, 1.0), now.stress_ratio)
+            tell(member.name, now.share(member.test), now.stress_ratio)
 
         curve, failure = None, None
         try:
@@ -258,7 +258,7 @@ def _together(task: Sequence[Member], tell, done) -> None:
         if curve.status or not acceptable(member):
             _each([member], tell, done)
             continue
-        wanted = curve.axial_strain <= member.test.axial_strain
+        wanted = (curve.axial_strain <= member.test.axial_strain) | bool(member.test.stages)
         curve = replace(curve, **{name: getattr(curve, name)[wanted] for name in records_of(curve)})
         warn_of_chatter(curve)
         tell(member.name, 1.0, float(curve.stress_ratio[-1]))

@@ -110,8 +110,10 @@ def resume(folder: Path, tell: Tell = lambda test, now: None, axial_strain: floa
     with locked(writable_folder(folder)):
         info = read_info(folder)
         case = load_case(folder / "case.toml")
-        strain = _strain_wanted(folder, info, case.test.axial_strain, axial_strain)
-        case = case.with_test(axial_strain=strain)
+        if case.stage:
+            _check_stages_wanted(folder, info, axial_strain)
+        else:
+            case = case.with_test(axial_strain=_strain_wanted(folder, info, case.test.axial_strain, axial_strain))
         test = case.build(load_specimen(folder / NAME, case) if case.specimen.kind == "random" else None)
         checkpoint = folder / "checkpoint.npz"
         start = load_progress(checkpoint, test) if checkpoint.exists() else None
@@ -143,6 +145,17 @@ def _strain_wanted(folder: Path, info: dict[str, Any], reached: float, wanted: f
             f"{sound if info['axial_strain'] > 0 else ''}."
         )
     return reached if wanted is None else wanted
+
+
+def _check_stages_wanted(folder: Path, info: dict[str, Any], wanted: float | None) -> None:
+    """Raise ValueError where a test in stages has nothing left to go on with."""
+    if wanted is not None:
+        raise ValueError(
+            f"--axial-strain = {wanted:g}: result '{folder}' is a test in stages, which end where its case.toml says."
+        )
+    if info["status"] in ("finished", "failed"):
+        why = f" ({info['message']}) and would again" if info["status"] == "failed" else ": its stages are done"
+        raise ValueError(f"result '{folder}' is {info['status']}{why}; run a changed case into another folder.")
 
 
 def _run(
@@ -178,14 +191,15 @@ def _run(
 
     def advance(now: Progress) -> None:
         info["axial_strain"] = now.strain
-        if due and now.strain >= due[0]:
+        done = now.share(test) if test.stages else now.strain
+        if due and done >= due[0]:
             try:
                 write_snapshot(now)
             except OSError:  # the disk, of which the rest of the run would suffer too
                 raise
             except Exception as error:
                 warn(f"the snapshot at {now.strain:.3g} axial strain could not be made ({error})")
-            due[:] = [strain for strain in due if strain > now.strain]
+            due[:] = [each for each in due if each > done]
         check()
         say(now)
         check()
@@ -207,7 +221,8 @@ def _run(
         write_whole(folder / "case.toml", lambda target: target.write_text(to_toml(case)))
         for name in CURVES:  # of a smaller strain; the checkpoint holds the records until there are new ones
             (folder / name).unlink(missing_ok=True)
-        due = _snapshot_strains(info["snapshots"], test.axial_strain, 0.0 if start is None else start.strain)
+        begun = 0.0 if start is None else start.share(test) if test.stages else start.strain
+        due = _snapshot_strains(info["snapshots"], 1.0 if test.stages else test.axial_strain, begun)
         if due:
             from axijax.app.paraview import SnapshotWriter
 
@@ -233,12 +248,13 @@ def _run(
             with contextlib.suppress(OSError):
                 note("interrupted", f"stopped by {str(error).rstrip('.') or type(error).__name__}")
             raise
-        note("finished")
+        note("finished", run.ended)
+        warn(run.ended or None)
         from axijax.app.plot import draw_curve  # Matplotlib only where something is drawn
 
         warn(draw_curve(folder))
         if info["warnings"]:
-            note("finished")
+            note("finished", run.ended)
     return run
 
 
@@ -254,7 +270,8 @@ def packing_values(report: "PackingReport") -> dict[str, Any]:
 
 
 def _snapshot_strains(number: int, axial_strain: float, start: float) -> list[float]:
-    """Where snapshots are due: evenly from the start of the shear to its end, those before `start` done."""
+    """Where snapshots are due: evenly from the start of the shear to its end, those before `start` done; of a test in
+    stages in shares of it."""
     strains = [axial_strain * k / (number - 1) for k in range(number)] if number > 1 else [axial_strain] * number
     return [strain for strain in strains if strain > start or start == 0]
 

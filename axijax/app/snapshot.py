@@ -204,10 +204,11 @@ def snapshot(
         share=np.ones(contact.size) if full else np.asarray(network.share, float)[contact],
     )  # fmt: skip
     forces = seen["platens"] * (n if full else 1)
+    lateral_stress = float(state.lateral_stress(progress.params))
     return Snapshot(
         axial_strain=progress.strain,
-        stress_ratio=float(seen["platens"].mean() / seen["section"] / stress),
-        confining_stress=stress,
+        stress_ratio=float(seen["platens"].mean() / seen["section"] / lateral_stress),
+        confining_stress=lateral_stress,
         sector=sector,
         full=full,
         balls=balls if full else part(balls, balls.image == 0),

@@ -60,7 +60,9 @@ class State(NamedTuple):
 
     def lateral_stress(self, params) -> jax.Array | float:
         """With which the membrane presses at this moment [F/L^2]."""
-        return params.confining_stress if self.loading is None else self.loading.lateral_stress
+        if self.loading is None:
+            return params.confining_stress
+        return self.loading.lateral_stress.astype(self.displacement.x.dtype)
 
     def with_spring(self, spring: Vector | None) -> "State":
         """The state with these tangential springs in the contacts."""

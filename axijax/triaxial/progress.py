@@ -61,6 +61,15 @@ class Progress(NamedTuple):
             return self.over or self.stage == len(test.stages)
         return self.strain >= test.axial_strain
 
+    def share(self, test: "TriaxialTest") -> float:
+        """How much of the test is done, from 0 to 1, as far as that is known."""
+        if not test.stages:
+            return min(self.strain / test.axial_strain, 1.0)
+        if self.ended(test):
+            return 1.0
+        most = test.prepared.numerics.stage_records[self.stage] * test.record_every
+        return (self.stage + min(self.steps / most, 1.0) * self.begun) / len(test.stages)
+
     @property
     def path_length(self) -> float:
         """Axial strain travelled, to and fro [-]."""
@@ -107,6 +116,18 @@ def begin(test: "TriaxialTest", params: Params) -> Progress:
     fixed = fixed_load(test.refresh, prepared.lateral_load, lists, state)
     height = float(state.platens[1] - state.platens[0])
     return Progress(params, *lists, state, fixed, balance, height, no_records(bool(test.stages)))
+
+
+def fit_for_stages(test: "TriaxialTest", now: Progress) -> Progress:
+    """A confined specimen for a test in stages, or for one without. Raises ValueError where it has been sheared."""
+    if (now.records.stage is not None) == bool(test.stages):
+        return now
+    if now.taken:
+        raise ValueError("start: has been sheared by a test in stages, and this one has none, or the other way round.")
+    state = now.state._replace(loading=None)
+    if test.stages:
+        state = start_loading(now.params, state)
+    return now._replace(state=state, records=no_records(bool(test.stages)))
 
 
 def go_on(test: "TriaxialTest", now: Progress) -> Progress:

@@ -31,7 +31,7 @@ from axijax.specimen.specimen import Specimen, cut_to_sector
 from axijax.triaxial.checkpoint import save_progress
 from axijax.triaxial.paths import Path as LoadingPath
 from axijax.triaxial.prepare import Prepared, prepare
-from axijax.triaxial.progress import Progress, Run, begin, curve_of, go_on, why_over
+from axijax.triaxial.progress import Progress, Run, begin, curve_of, fit_for_stages, go_on, why_over
 from axijax.triaxial.records import Confinement, Curve, SimulationError, raise_for_status, warn_of_chatter
 from axijax.triaxial.stages import confine, simulate
 
@@ -146,6 +146,17 @@ class TriaxialTest:
         check_params(params, len(self.cut))
         return confine(self.prepared, params)
 
+    def confined(self, params: Params | None = None, checkpoint: Path | None = None) -> Progress:
+        """The confined specimen, from which `run(start=..)` of this test goes on, and of tests that differ in their
+        stages alone. checkpoint: file to keep it in, see `axijax.triaxial.checkpoint`.
+
+        Raises ValueError for bad parameters, and SimulationError where it finds no equilibrium.
+        """
+        now = begin(self, self.params if params is None else params)
+        if checkpoint is not None:
+            save_progress(checkpoint, self, now)
+        return now
+
     def run(
         self,
         params: Params | None = None,
@@ -166,7 +177,7 @@ class TriaxialTest:
         require_64_bits()
         if start is not None and params is not None:
             raise ValueError("params: must be left out where a start is given, which brings its own.")
-        now = begin(self, self.params if params is None else params) if start is None else start
+        now = begin(self, self.params if params is None else params) if start is None else fit_for_stages(self, start)
         if checkpoint is not None:
             save_progress(checkpoint, self, now)
         written = time.monotonic()

@@ -113,7 +113,7 @@ class _Live:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.started = time.perf_counter()
-        self.marks: list[tuple[float, float, int]] = []  # time, strain, steps
+        self.marks: list[tuple[float, float, int]] = []  # time, share done, steps
 
     def __enter__(self) -> "_Live":
         return self
@@ -124,12 +124,15 @@ class _Live:
     def tell(self, test: "TriaxialTest", now: "Progress | None") -> None:
         """Take note of where a run stands, and show it."""
         if now is None:
-            steps = test.prepared.numerics.records * test.record_every
+            numerics = test.prepared.numerics
+            steps = (sum(numerics.stage_records) if test.stages else numerics.records) * test.record_every
             return self.show("preparing", f"{len(test.cut)} balls, {steps} steps")
-        self.marks.append((time.perf_counter(), now.strain, now.taken))
+        self.marks.append((time.perf_counter(), now.share(test), now.taken))
         if len(self.marks) == 1:
             balance, goal = now.confinement, f"shearing to {100 * test.axial_strain:g} %"
-            if now.strain > 0:
+            if test.stages:
+                goal = f"{len(test.stages)} stage{'s' if len(test.stages) > 1 else ''} to come"
+            if now.taken > 0:
                 self.show("resumed", f"going on from {100 * now.strain:.3g} % axial strain; {goal}")
             else:
                 found = f"{int(balance.steps)} steps to an unbalanced force of {float(balance.unbalanced_force):.1e}"
@@ -146,9 +149,9 @@ class _Live:
         marks = self.marks[1:][-20:]
         if len(marks) < 2:
             return None, None
-        (start, strain, steps), (end, reached, more) = marks[0], marks[-1]
+        (start, share, steps), (end, reached, more) = marks[0], marks[-1]
         rate = (more - steps) * len(test.cut) / (end - start)
-        left = max(test.axial_strain - reached, 0.0) * (end - start) / (reached - strain) if reached > strain else None
+        left = (1 - reached) * (end - start) / (reached - share) if reached > share else None
         return rate, left
 
     def show(self, event: str, text: str) -> None:
@@ -163,6 +166,10 @@ class _Live:
 
         peak = find_peak(run.curve.axial_strain, run.curve.stress_ratio)
         self.show("finished", f"{peak}; {time.perf_counter() - self.started:.1f} s; result in {self.folder}")
+
+
+def _doing(test: "TriaxialTest", now: "Progress") -> str:
+    return f"stage {min(now.stage + 1, len(test.stages))}" if test.stages else "shearing"
 
 
 class _PlainLines(_Live):
@@ -204,7 +211,7 @@ class _LiveLine(_Live):
         from rich.text import Text
 
         parts = [  # together within 80 columns
-            f"{'shearing' if rate else 'compiling'} {100 * now.strain:.3f} %",
+            f"{_doing(test, now) if rate else 'compiling'} {100 * now.strain:.3f} %",
             f"s1/s3 {now.stress_ratio:.4f}",
             f"unbalanced {now.unbalanced_force:.0e}",
         ]
@@ -233,7 +240,7 @@ class _JsonLines(_Live):
     def advance(self, test: "TriaxialTest", now: "Progress", rate: float | None, left: float | None) -> None:
         self.say(
             event="progress",
-            stage="shearing",
+            stage=_doing(test, now),
             axial_strain=now.strain,
             stress_ratio=now.stress_ratio,
             unbalanced_force=now.unbalanced_force,
