@@ -34,6 +34,8 @@ if _TYPE_CHECKING:
     from axijax.triaxial.prepare import Prepared, prepare
     from axijax.triaxial.random_specimen import platen_speed, random_cylinder
     from axijax.triaxial.records import Curve, SimulationError, find_peak, raise_for_status
+    from axijax.triaxial.stage import Stage
+    from axijax.triaxial.stage_types import stage
     from axijax.triaxial.stages import simulate
     from axijax.triaxial.test import TriaxialTest
 
@@ -53,6 +55,8 @@ _HOMES = {
     "triaxial.prepare": ("Prepared", "prepare"),
     "triaxial.random_specimen": ("platen_speed", "random_cylinder"),
     "triaxial.records": ("Curve", "SimulationError", "find_peak", "raise_for_status"),
+    "triaxial.stage": ("Stage",),
+    "triaxial.stage_types": ("stage",),
     "triaxial.stages": ("simulate",),
     "triaxial.test": ("TriaxialTest",),
 }
@@ -75,6 +79,7 @@ __all__ = [
     "Sector",
     "SimulationError",
     "Specimen",
+    "Stage",
     "Torsion",
     "TriaxialTest",
     "fast_cpu_kernels",
@@ -86,6 +91,7 @@ __all__ = [
     "raise_for_status",
     "random_cylinder",
     "simulate",
+    "stage",
     "theory",
     "use_compilation_cache",
 ]

@@ -198,6 +198,12 @@ class Case(Section):
             sections.pop("stage")
         return sections
 
+    def sections(self) -> dict[str, dict[str, Any]]:
+        """The fields of all sections, "stage 1" and so on among them, by name."""
+        sections = self.model_dump()
+        stages = {f"stage {number}": given for number, given in enumerate(sections.pop("stage", ()), 1)}
+        return sections | stages
+
     def build(self, specimen: Specimen | None = None) -> TriaxialTest:
         """The test. specimen: one that was made before, by `made`, and the case that `made` returned with it."""
         if specimen is None:

@@ -10,11 +10,13 @@ from pydantic import Field, create_model, model_validator
 from axijax.app.case_parts import Section, bounds
 from axijax.core.quantity import Quantity, declared
 from axijax.triaxial.commands import Cycling, Fluid, Line, Moved, Moving, Pressed
-from axijax.triaxial.stage import LATERAL, TYPES, Stage, Until, stage
+from axijax.triaxial.stage import Stage, Until
+from axijax.triaxial.stage_types import LATERAL, TYPES, stage
 
+PARTS = (Moving, Cycling, Pressed, Moved, Line, Fluid, Until)
 # The quantities of all commands, by name; K is of a type, not of a command.
 NUMBERS: dict[str, Quantity] = {
-    **{name: about for part in (Moving, Cycling, Pressed, Moved, Line, Fluid, Until) for name, about in declared(part).items()},
+    **{name: about for part in PARTS for name, about in declared(part).items()},
     "k": Quantity("K = s3/s1 at the end of an anisotropic stage", "-", above=0.0),
 }
 
@@ -47,13 +49,15 @@ def _fields() -> dict[str, Any]:
     }
     for name, about in NUMBERS.items():
         kind = int | None if about.whole else float | None
-        made[name] = (kind, Field(None, description=about.description, **bounds(about)))
+        told: dict[str, Any] = {"description": about.description, **bounds(about)}
+        made[name] = (kind, Field(None, **told))
     return made
 
 
 if TYPE_CHECKING:  # mypy cannot see the fields of classes made while running
 
-    class StageCase(StageBase): ...
+    class StageCase(StageBase):
+        def __getattr__(self, name: str) -> Any: ...
 else:
     StageCase = create_model("StageCase", __base__=StageBase, __doc__=StageBase.__doc__, **_fields())
 

@@ -24,12 +24,12 @@ REMEDIES = {
         "room for; use `run`, which makes room, or stop at a smaller axial_strain"
     ),
     UNFOLLOWED: (
-        "the specimen could not follow a stage to its end: its lateral or axial stress has fallen to nothing, or what is "
-        "asked for is outside its strength; the last records are those of where it stopped"
+        "the specimen could not follow a stage to its end: its lateral or axial stress has fallen to nothing, or what "
+        "is asked for is outside its strength; the last records are those of where it stopped"
     ),
     UNFINISHED: (
-        "a stage had not reached its end when its records were used up: give it a longer time or a nearer axial_strain, "
-        "or use `run`, which goes on for as long as it takes"
+        "a stage had not reached its end when its records were used up: give it a longer time or a nearer "
+        "axial_strain, or use `run`, which goes on for as long as it takes"
     ),
     ESCAPED: "a ball has left the membrane or passed a platen; lower time_step or stop at a smaller axial_strain",
     UNSTABLE: (

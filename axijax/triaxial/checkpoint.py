@@ -129,7 +129,7 @@ def _reached_in(arrays, stages: int) -> tuple[int, str]:
     if any(each is None or each.shape != () or each.dtype.kind not in "ib" for each in found):
         return -1, "its counts of stages are missing or no numbers"
     stage, begun, taken, steps, first = (int(each) for each in found)
-    if not (0 <= stage and stage + begun <= stages and min(taken, steps, first) >= 0):
+    if not (stage >= 0 and stage + begun <= stages and min(taken, steps, first) >= 0):
         return -1, "its counts are those of no stage" if stage or begun else ""
     return _reached(stage, bool(begun), taken), ""
 

@@ -6,11 +6,11 @@ All paths of a triaxial test are two conditions on axial and lateral strain and 
     membrane    Held, Moved (to a stress), Line (in the q-p plane), Sideways (a lateral strain), Fluid (in the pores)
 
 The platens are a source of velocity, so an axial stress is reached by a servo; the membrane is a source of stress, so a
-lateral strain is. Either servo is that of a boundary that lets waves pass instead of throwing them back: for an error
-in stress the platens give way at error / (rho c), for an error in speed the membrane presses by rho c times it.
-Nothing is to be tuned: c is the
-specimen's wave speed, rho its density, rho c^2 its stiffness against a wave (C11 of an FCC array). A platen that moves as
-long as there is an error leaves none; one of the membrane is taken away a few times slower than a wave crosses.
+lateral strain is. Either servo is made of a boundary that lets waves pass instead of throwing them back: for an error in
+stress the platens give way by error / (rho c), for an error in speed the membrane presses by rho c times it. A platen
+that gives way as long as there is an error leaves none; one of the membrane is taken away within a few times that a
+wave takes to cross. Nothing is to be tuned: c is the specimen's wave speed, rho its density, rho c^2 its stiffness
+against a wave (C11 of an FCC array).
 
 A quantity that is led to a value (strain, axial or lateral stress) gains speed, and brakes, so that it arrives without
 overshoot (`towards`). Stresses are effective, compression is positive.
@@ -151,7 +151,9 @@ class Cycling(Platens):
 
     first: jax.Array | float = quantity(0.0, "first limit of the cycles", "", least=-jnp.inf)
     second: jax.Array | float = quantity(0.0, "second limit of the cycles", "", least=-jnp.inf)
-    cycles: jax.Array | int = quantity(1, "number of cycles, each to the first limit and the second", "-", least=1, whole=True)
+    cycles: jax.Array | int = quantity(
+        1, "number of cycles, each to the first limit and the second", "-", least=1, whole=True
+    )
     speed: jax.Array | float | None = quantity(
         None, "speed of each platen; left out: parameters.platen_speed", "L/T", above=0.0, optional=True
     )
@@ -201,7 +203,8 @@ class Pressed(Platens):
             led = led.further(self.axial_stress, _stress_rate(self.stress_rate, start, now.height), start.ramp, now.dt)
         elif self.axial_stress is not None:
             whole = self.along - start.lateral_stress
-            share = jnp.where(whole == 0, 1.0, (now.lateral_stress - start.lateral_stress) / jnp.where(whole == 0, 1.0, whole))
+            gone = now.lateral_stress - start.lateral_stress
+            share = jnp.where(whole == 0, 1.0, gone / jnp.where(whole == 0, 1.0, whole))
             wanted = start.axial_stress + (self.axial_stress - start.axial_stress) * share
             led = Arriving(wanted, led.rate, jnp.abs(share - 1) < 1e-9)
         error = led.value - now.axial_stress
@@ -320,7 +323,7 @@ class Sideways(Membrane):
 @pytree
 @dataclass(frozen=True)
 class Fluid(Membrane):
-    """A pore fluid that cannot leave, u = (Kf / porosity) times the volumetric strain; the total lateral stress stays."""
+    """A pore fluid that cannot leave, u = (Kf/porosity) times the volumetric strain; the total lateral stress stays."""
 
     fluid_modulus: jax.Array | float = quantity(1.0e8, "bulk modulus of the pore fluid", "F/L^2", above=0.0)
     porosity: jax.Array | float = quantity(0.4, "volume of the pores over the whole", "-", above=0.0, below=1.0)

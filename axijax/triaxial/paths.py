@@ -53,10 +53,10 @@ class Path:
         return state.loading._replace(path_length=state.loading.path_length + jnp.abs(closed))
 
     def watch(self, seen: Observation, state: State) -> Any:
-        """What of a record decides whether it goes on; a pytree. All that is observed may be infinite: nothing is yet."""
+        """What of a record decides whether it goes on; a pytree. Before the first all that is seen is infinite."""
         return None
 
-    def going(self, watched: Any, steps: jax.Array) -> jax.Array | bool:
+    def going(self, watched: Any, steps: jax.Array | int) -> jax.Array | bool:
         """Whether it goes on after so many steps. watched: of the last record."""
         return True
 

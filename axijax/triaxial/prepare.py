@@ -42,6 +42,11 @@ class Numerics:
     rebuild_every: int = 0
     stage_records: tuple[int, ...] = ()
 
+    @property
+    def most_steps(self) -> int:
+        """Steps after confinement, at most."""
+        return (sum(self.stage_records) or self.records) * self.record_every
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)

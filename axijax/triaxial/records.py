@@ -75,7 +75,7 @@ class Curve:
     lateral_stress: jax.Array | None = recorded("effective lateral stress s3", "F L-2", default=None)
     pore_pressure: jax.Array | None = recorded("pore pressure, or what would keep the volume", "F L-2", default=None)
     path_length: jax.Array | None = recorded("axial strain travelled, to and fro", default=None)
-    servo_error: jax.Array | None = recorded("how far off its path the servo is, over the confining stress", default=None)
+    servo_error: jax.Array | None = recorded("servo error as a stress, over the confining stress", default=None)
     stage: jax.Array | None = recorded("number of the stage", default=None)
     confinement: Confinement
     status: jax.Array

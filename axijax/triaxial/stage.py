@@ -6,8 +6,8 @@
         stage("extension", deviator_stress=0.0),
     ))
 
-`stage` names the usual ones, in Python as in the [[stage]] tables of a case file; `Stage` itself takes any two commands
-of `axijax.triaxial.commands`, or of your own.
+`axijax.stage` (`axijax.triaxial.stage_types`) names the usual ones, in Python as in the [[stage]] tables of a case
+file; `Stage` itself takes any two commands of `axijax.triaxial.commands`, or of your own.
 """
 
 import dataclasses
@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from axijax.core.quantity import check_values, declared, quantity
+from axijax.core.quantity import check_values, quantity
 from axijax.core.tree import pytree
 from axijax.mechanics.dynamics import positions
 from axijax.mechanics.membrane import lateral_force
@@ -27,16 +27,13 @@ from axijax.triaxial.commands import (
     LEAST,
     QUIET,
     Cycling,
-    Fluid,
     Held,
-    Line,
     Membrane,
     Moved,
     Moving,
     Now,
     Platens,
     Pressed,
-    Sideways,
     Start,
 )
 from axijax.triaxial.paths import Path, wave_speed
@@ -271,86 +268,8 @@ class Stage(Path):
         slope = getattr(self.membrane, "dq_dp", None)
         if slope is not None and -6 < float(slope) < 0:
             raise ValueError(
-                f"dq_dp = {slope:g}: must be zero or more, or -6 or less; between these the lateral stress would change "
-                "more than the axial stress that leads it. Lead the lateral stress instead: type = 'anisotropic'."
+                f"dq_dp = {slope:g}: must be zero or more, or -6 or less; between these the lateral stress would "
+                "change more than the axial stress that leads it. Lead the lateral stress: type = 'anisotropic'."
             )
         if isinstance(self.platens, Cycling) and float(self.platens.first) == float(self.platens.second):
             raise ValueError(f"first = second = {float(self.platens.first):g}: cycles need two limits that differ.")
-
-
-# What the platens do, by name, and the fields that each takes beside Until's; and what the membrane does.
-TYPES: dict[str, tuple[str, ...]] = {
-    "compression": ("speed",),
-    "extension": ("speed",),
-    "hold": (),
-    "cycles": ("first", "second", "cycles", "of", "speed"),
-    "axial_stress": ("axial_stress", "stress_rate"),
-    "lateral_stress": ("lateral_stress", "stress_rate"),
-    "isotropic": ("lateral_stress", "stress_rate"),
-    "anisotropic": ("lateral_stress", "k", "stress_rate"),
-}
-LATERAL: dict[str, tuple[str, ...]] = {
-    "constant": (),
-    "constant_p": (),
-    "line": ("dq_dp",),
-    "constant_volume": (),
-    "fluid": ("fluid_modulus", "porosity"),
-    "k0": (),
-}
-LED = ("lateral_stress", "isotropic", "anisotropic")  # types that lead the membrane themselves
-CRITERIA = tuple(declared(Until))
-
-
-def stage(type: str, lateral: str = "constant", **numbers) -> Stage:
-    """A stage by the name of what its platens do (`TYPES`) and of what its membrane does (`LATERAL`).
-
-    compression, extension: at a speed. hold: the platens stay. cycles: between two limits of axial strain, or of
-        deviator stress (of="deviator_stress"), so many times.
-    axial_stress: the axial stress is led to a value. lateral_stress: the lateral stress is, the axial stress stays.
-    isotropic, anisotropic: both are, on a straight line, to s1 = s3, and to s3 = k s1.
-    numbers: of the commands (`axijax.triaxial.commands`), and where it ends (`Until`), each by its name.
-
-    Raises ValueError for names that are not known or would do nothing, and for numbers that make no sense.
-    """
-    for what, name, known in (("type", type, TYPES), ("lateral", lateral, LATERAL)):
-        if name not in known:
-            raise ValueError(f"{what} = {name!r}: must be one of {', '.join(known)}.")
-    if type in LED and lateral != "constant":
-        raise ValueError(f"lateral = '{lateral}': type = '{type}' leads the lateral stress itself; leave it out.")
-    taken = (*TYPES[type], *LATERAL[lateral], *CRITERIA)
-    for name in numbers:
-        if name not in taken:
-            raise ValueError(f"{name} = {numbers[name]!r}: a stage of type '{type}' takes {', '.join(taken)}.")
-    needed = {"cycles": ("first", "second"), "line": ("dq_dp",), "fluid": ("fluid_modulus", "porosity")}
-    for name in (*needed.get(type, [n for n in TYPES[type] if n not in ("speed", "stress_rate")]), *needed.get(lateral, ())):
-        if numbers.get(name) is None:
-            raise ValueError(f"a stage of type '{type}'{f', {lateral}' if lateral in needed else ''} needs its {name}.")
-    given = {name: value for name, value in numbers.items() if value is not None}
-    until = Until(**{name: given.pop(name) for name in CRITERIA if name in given})
-
-    def take(*names):
-        return {name: given[name] for name in names if name in given}
-
-    rate, platens, membrane = take("stress_rate"), None, None
-    if type in ("compression", "extension", "hold"):
-        platens = Moving({"compression": 1.0, "extension": -1.0, "hold": 0.0}[type], **take("speed"))
-    elif type == "cycles":
-        platens = Cycling(**take("first", "second", "cycles", "speed", "of"))
-    elif type == "axial_stress":
-        platens = Pressed(**take("axial_stress"), **rate)
-    elif type == "lateral_stress":
-        platens, membrane = Pressed(), Moved(**take("lateral_stress"), **rate)
-    else:
-        to = given["lateral_stress"]
-        k = given.get("k", 1.0)
-        if not isinstance(k, jax.core.Tracer) and not k > 0:
-            raise ValueError(f"k = {k}: must be positive.")
-        platens, membrane = Pressed(to / k, along=to), Moved(to, **rate)
-    if membrane is None:
-        membrane = {
-            "constant": Held, "constant_p": Line, "line": Line, "constant_volume": Sideways, "fluid": Fluid,
-            "k0": lambda: Sideways(0.0),
-        }[lateral](**take(*LATERAL[lateral]))  # fmt: skip
-    made = Stage(platens, membrane, until)
-    made.check()
-    return made

@@ -131,7 +131,7 @@ def start_stage(scene: Scene, path: Path, lists: Lists, dt, params: Params, stat
 
 
 def _march_stages(prepared: Prepared, lists: Lists, params: Params, state: State, fixed: Load | None):
-    """All stages, one after the other; one that could not be followed is the last. Observations and status bits (T,)."""
+    """All stages, one after the other, up to one that could not be followed: observations and status bits (T,)."""
     numerics, kept, over = prepared.numerics, [], jnp.zeros((), bool)
     state = start_loading(params, state)
     for path, records in zip(prepared.stages, numerics.stage_records, strict=True):

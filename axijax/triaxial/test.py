@@ -93,7 +93,7 @@ class TriaxialTest:
     def __post_init__(self) -> None:
         require_64_bits()
         if not isinstance(self.stages, tuple) or not all(isinstance(each, LoadingPath) for each in self.stages):
-            raise ValueError(f"stages = {self.stages!r}: must be a tuple of stages, such as (axijax.stage('extension'),).")
+            raise ValueError(f"stages = {self.stages!r}: must be a tuple, such as (axijax.stage('hold', time=9),).")
         for name, about in settings(self).items():
             value = getattr(self, name)
             if isinstance(value, bool) and (about.unit or about.whole):

@@ -124,9 +124,7 @@ class _Live:
     def tell(self, test: "TriaxialTest", now: "Progress | None") -> None:
         """Take note of where a run stands, and show it."""
         if now is None:
-            numerics = test.prepared.numerics
-            steps = (sum(numerics.stage_records) if test.stages else numerics.records) * test.record_every
-            return self.show("preparing", f"{len(test.cut)} balls, {steps} steps")
+            return self.show("preparing", f"{len(test.cut)} balls, {test.prepared.numerics.most_steps} steps")
         self.marks.append((time.perf_counter(), now.share(test), now.taken))
         if len(self.marks) == 1:
             balance, goal = now.confinement, f"shearing to {100 * test.axial_strain:g} %"
