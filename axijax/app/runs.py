@@ -38,7 +38,7 @@ from axijax.app.specimen_file import NAME, load_specimen, save_specimen
 from axijax.core.files import locked, printable, writable_folder, write_whole, writing_to
 from axijax.core.quantity import values_of
 from axijax.core.signals import signals_wait
-from axijax.triaxial.checkpoint import load_progress
+from axijax.triaxial.checkpoint import load_progress, save_progress
 from axijax.triaxial.progress import Progress, Run
 from axijax.triaxial.records import SimulationError
 from axijax.triaxial.test import TriaxialTest
@@ -66,12 +66,15 @@ def run_case(
     snapshots: int = 0,
     command: Sequence[str] = (),
     packed: "Callable[[PackingReport], None]" = lambda report: None,
+    confined: Path | None = None,
+    keep_confined: Path | None = None,
 ) -> Run:
     """Run a case into a folder, which is made where there is none.
 
     name: of the run, for titles. overwrite: replace what another run left there. snapshots: how many to write for
     ParaView, evenly over the shear, one every 1000 steps at most. command: the command line, to be kept.
-    packed: called with what a random specimen has become.
+    packed: called with what a random specimen has become. confined: begin with the specimen that another case has kept
+    there, which may differ in its stages alone. keep_confined: file for the confined specimen.
 
     Raises ValueError where the case makes no sense, the folder cannot be written or holds a result, or files that no
     run wrote and this one would replace; SimulationError for a run that went wrong, whose curve so far is kept;
@@ -84,6 +87,7 @@ def run_case(
             refuse_to_lose(folder, overwrite)
             case, specimen, report = case.made()
             test = case.build(specimen)
+            start = None if confined is None else _start_from(Path(confined), test)
             if report is not None:
                 packed(report)
         except BaseException as error:
@@ -97,7 +101,7 @@ def run_case(
         info |= {"started": _now(), "seconds": 0.0, "resumed": 0, "axial_strain": 0.0, "snapshots": snapshots}
         if report is not None:
             info["packing"] = packing_values(report)
-        return _run(folder, case, test, None, info, tell, None if report is None else specimen)
+        return _run(folder, case, test, start, info, tell, None if report is None else specimen, keep_confined)
 
 
 def resume(folder: Path, tell: Tell = lambda test, now: None, axial_strain: float | None = None) -> Run:
@@ -166,6 +170,7 @@ def _run(
     info: dict[str, Any],
     tell: Tell,
     specimen: "Specimen | None" = None,
+    keep_confined: Path | None = None,
 ) -> Run:
     """specimen: a random one that is not in the folder yet."""
     began = time.perf_counter()
@@ -191,6 +196,8 @@ def _run(
 
     def advance(now: Progress) -> None:
         info["axial_strain"] = now.strain
+        if keep_confined is not None and now.taken == 0:
+            save_progress(Path(keep_confined), test, now)
         done = now.share(test) if test.stages else now.strain
         if due and done >= due[0]:
             try:
@@ -274,6 +281,19 @@ def _snapshot_strains(number: int, axial_strain: float, start: float) -> list[fl
     stages in shares of it."""
     strains = [axial_strain * k / (number - 1) for k in range(number)] if number > 1 else [axial_strain] * number
     return [strain for strain in strains if strain > start or start == 0]
+
+
+def _start_from(path: Path, test: TriaxialTest) -> Progress:
+    """A confined specimen that another case has kept. Raises ValueError where it is not one of this test."""
+    start = load_progress(path, test)
+    if start.taken:
+        raise ValueError(f"checkpoint '{path}' has been sheared already: give one that --keep-confined has written.")
+    for name, value in values_of(test.params).items():
+        kept = np.asarray(getattr(start.params, name))
+        if kept.shape != () or value != kept:
+            shown = f"{kept:g}" if kept.shape == () else f"{kept.size} values"
+            raise ValueError(f"checkpoint '{path}' was confined with {name} = {shown}, the case says {value:g}.")
+    return start
 
 
 def _check_same_parameters(folder: Path, test: TriaxialTest, start: Progress) -> None:

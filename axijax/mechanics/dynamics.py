@@ -116,7 +116,7 @@ def all_forces(scene: Scene, params: Params, network: ContactList, load: Load, d
 PlatenDrive = Callable[[Params, ContactList, Any, State, jax.Array, jax.Array], jax.Array]
 
 
-# What the path remembers at t + dt, from the same and the platens' new speeds, see `axijax.triaxial.paths.Path.loading`.
+# What the path remembers at t + dt, from the same and the platens' new speeds: `axijax.triaxial.paths.Path.loading`.
 LoadingRule = Callable[[Params, ContactList, Load, Any, State, jax.Array, jax.Array], Loading | None]
 
 

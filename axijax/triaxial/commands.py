@@ -6,11 +6,11 @@ All paths of a triaxial test are two conditions on axial and lateral strain and 
     membrane    Held, Moved (to a stress), Line (in the q-p plane), Sideways (a lateral strain), Fluid (in the pores)
 
 The platens are a source of velocity, so an axial stress is reached by a servo; the membrane is a source of stress, so a
-lateral strain is. Either servo is made of a boundary that lets waves pass instead of throwing them back: for an error in
-stress the platens give way by error / (rho c), for an error in speed the membrane presses by rho c times it. A platen
-that gives way as long as there is an error leaves none; one of the membrane is taken away within a few times that a
-wave takes to cross. Nothing is to be tuned: c is the specimen's wave speed, rho its density, rho c^2 its stiffness
-against a wave (C11 of an FCC array).
+lateral strain is. Either servo is made of a boundary that lets waves pass instead of throwing them back: for an error
+in stress the platens give way by error / (rho c), for an error in speed the membrane presses by rho c times it. A
+platen that gives way as long as there is an error leaves none; one of the membrane is taken away within a few times
+that a wave takes to cross. Nothing is to be tuned: c is the specimen's wave speed, rho its density, rho c^2 its
+stiffness against a wave (C11 of an FCC array).
 
 A quantity that is led to a value (strain, axial or lateral stress) gains speed, and brakes, so that it arrives without
 overshoot (`towards`). Stresses are effective, compression is positive.

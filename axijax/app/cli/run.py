@@ -54,6 +54,12 @@ def run(
             min=0, max=100_000, help="Snapshots for ParaView, evenly over the shear (1000 steps apart at least)."
         ),
     ] = 0,
+    keep_confined: Annotated[
+        Path | None, typer.Option(help="File for the confined specimen, from which other cases can go on.")
+    ] = None,
+    confined: Annotated[
+        Path | None, typer.Option(help="Begin with a specimen kept so; the case may differ in its stages alone.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Run the triaxial test of a case file into a folder.
@@ -74,6 +80,7 @@ def run(
         done = run_case(
             loaded, folder, case.stem, live.tell,
             overwrite=overwrite, snapshots=snapshots, command=command, packed=live.packed,
+            confined=confined, keep_confined=keep_confined,
         )  # fmt: skip
         live.finished(done)
 
