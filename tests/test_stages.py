@@ -23,8 +23,8 @@ STICKY = Params(friction=0.9, platen_speed=0.01)
 SPECIMEN = fcc_octagon(layers=5, half_width=5)
 
 
-def test(*stages, params=STICKY, sector=Sector(4), **options):
-    return TriaxialTest(SPECIMEN, sector, params=params, stages=stages, tolerance=1e-6, record_every=25, **options)
+def test(*stages, params=STICKY, order=4):
+    return TriaxialTest(SPECIMEN, Sector(order), params=params, stages=stages, tolerance=1e-6, record_every=25)
 
 
 test.__test__ = False
@@ -35,7 +35,7 @@ test.__test__ = False
 
 @pytest.mark.parametrize("way", [3.0, -3.0, 0.02])
 def test_what_is_led_arrives_without_overshoot(way):
-    """At rest, in the time that its top speed and its gain of speed allow, never beyond; top 1, gain 1.5 top/ramp."""
+    """At rest, in the time that top speed and gain of speed allow, never beyond; speed 1, gained within 2/3 ramp."""
     dt, ramp = 0.01, 1.0
 
     def step(carry, _):
@@ -48,7 +48,7 @@ def test_what_is_led_arrives_without_overshoot(way):
     place, rate = np.asarray(place), np.asarray(rate)
     assert place[-1] == pytest.approx(way, abs=1e-15)
     assert (np.sign(way) * place <= abs(way) + 1e-15).all() and np.abs(rate).max() <= 1 + 1e-12
-    assert np.abs(np.diff(rate)[rate[1:] != 0]).max() <= 1.5 / ramp * dt * 1.001 + 1e-15
+    assert np.abs(np.diff(rate)).max() <= 3 * 1.5 / ramp * dt  # the last step takes what is left
     arrival = np.argmax(np.abs(place - way) < 1e-12) * dt
     least = abs(way) + 2 / 3 * ramp if abs(way) > 2 / 3 else 2 * (abs(way) / 1.5) ** 0.5
     assert least - 2 * dt <= arrival < 1.2 * least + 4 * dt
@@ -58,9 +58,9 @@ def test_what_is_led_arrives_without_overshoot(way):
 
 PROGRAMME = (
     stage("isotropic", lateral_stress=7e4),
-    stage("compression", lateral="constant_p", axial_strain=4e-4),
+    stage("compression", lateral="constant_p", axial_strain=8e-4),
     stage("extension", deviator_stress=0.0, axial_strain=-1e-3),
-    stage("compression", lateral="constant_volume", axial_strain=7e-4),
+    stage("compression", lateral="constant_volume", axial_strain=1.1e-3),
 )
 
 
@@ -85,7 +85,7 @@ def test_each_stage_goes_where_it_leads():
     np.testing.assert_allclose(isotropic[2:, -1], 7e4, rtol=2e-3)
     p = (constant_p[2] + 2 * constant_p[3]) / 3
     np.testing.assert_allclose(p, 7e4, rtol=0.02)
-    assert constant_p[0, -1] >= 4e-4 > constant_p[0, -2] and constant_p[2, -1] > 1.4 * constant_p[3, -1]
+    assert constant_p[0, -1] >= 8e-4 > constant_p[0, -2] and constant_p[2, -1] > 1.4 * constant_p[3, -1]
     assert extension[2, -1] <= extension[3, -1] and extension[2, -2] > extension[3, -2]
     np.testing.assert_array_equal(extension[3], extension[3, 0])
     # The volume by Rm is not the one that the membrane's work knows, but near it.
@@ -158,7 +158,8 @@ def check_derivatives(stages, params, names, h=1e-4, accuracy=5e-3):
     here = test(*stages, params=params)
 
     def seen(logs):
-        at = replace(params, **{name: getattr(params, name) * jnp.exp(log) for name, log in zip(names, logs, strict=True)})
+        changed = {name: getattr(params, name) * jnp.exp(log) for name, log in zip(names, logs, strict=True)}
+        at = replace(params, **changed)
         curve = functions.simulate.__wrapped__(here.prepared, at)
         last = curve.lateral_stress[-curve.lateral_stress.size // 3 :]
         return jnp.stack([(last * curve.stress_ratio[-last.size :]).mean(), last.mean()])

@@ -30,6 +30,7 @@ GIVING = 5.0  # times faster than what lets a wave pass, that the platens give w
 LASTING = 4.0  # times that a wave crosses, within which the membrane takes a lasting error away
 FASTEST = 10.0  # times the platen speed, that platens may run after a stress
 QUIET = 0.25  # times the rate of stress at which the platen speed loads an elastic specimen; where none is given
+BRAKE = 0.8  # of the rate at which speed is gained, at which it is lost
 LEAST = 1e-3  # share of the confining stress below which the membrane is not relieved
 
 
@@ -77,11 +78,11 @@ class Now(NamedTuple):
 def towards(left, rate, top, ramp, dt):
     """The rate one step later of what is to go `left` further, and whether it arrives with that step.
 
-    It gains and loses speed by at most `top` within two thirds of the time `ramp`, and arrives at rest.
+    It gains speed by at most `top` within two thirds of the time `ramp`, loses it a fifth slower, and arrives at rest.
     """
     gain = 1.5 * top / ramp * dt
     away = jnp.abs(left)
-    wanted = jnp.sign(left) * jnp.minimum(top, jnp.sqrt(2 * gain / dt * jnp.maximum(away, 1e-300)))
+    wanted = jnp.sign(left) * jnp.minimum(top, jnp.sqrt(2 * BRAKE * gain / dt * jnp.maximum(away, 1e-300)))
     faster = rate + jnp.clip(wanted - rate, -gain, gain)
     there = away <= jnp.abs(faster) * dt + gain * dt
     return jnp.where(there, jnp.where(there, left, 0.0) / dt, faster), there
