@@ -27,10 +27,11 @@ from axijax.core.tree import pytree
 
 STIFF = 2.0  # of a membrane that holds a lateral strain, over the specimen's stiffness
 GIVING = 5.0  # times faster than what lets a wave pass, that the platens give way to an error
+CATCHING = 0.5  # share of what the lateral strain of the record is off, that is taken over with each record
 LASTING = 4.0  # times that a wave crosses, within which the membrane takes a lasting error away
 FASTEST = 10.0  # times the platen speed, that platens may run after a stress
 QUIET = 0.25  # times the rate of stress at which the platen speed loads an elastic specimen; where none is given
-BRAKE = 0.8  # of the rate at which speed is gained, at which it is lost
+BRAKE = 0.6  # of the rate at which speed is gained, at which it is lost
 LEAST = 1e-3  # share of the confining stress below which the membrane is not relieved
 
 
@@ -78,7 +79,7 @@ class Now(NamedTuple):
 def towards(left, rate, top, ramp, dt):
     """The rate one step later of what is to go `left` further, and whether it arrives with that step.
 
-    It gains speed by at most `top` within two thirds of the time `ramp`, loses it a fifth slower, and arrives at rest.
+    It gains speed by at most `top` within two thirds of the time `ramp`, loses it at 0.6 of that rate, arrives at rest.
     """
     gain = 1.5 * top / ramp * dt
     away = jnp.abs(left)
@@ -316,7 +317,7 @@ class Sideways(Membrane):
         apart = start.lateral_strain + self.share * (now.axial_strain - start.axial_strain) - now.lateral_strain
         rate = self.share * now.axial_rate - now.lateral_rate
         error = start.stiffness * apart
-        lasting = memory + STIFF * error * now.dt / (LASTING * start.lateral_time)
+        lasting = memory + STIFF * error * now.dt / (0.5 * LASTING * start.lateral_time)
         pressed = lasting + STIFF * error + start.stiffness * start.lateral_time * rate
         return pressed, lasting, start.lateral_stress + start.pore_pressure - pressed, error
 

@@ -100,6 +100,7 @@ def _block(scene: Scene, path: Path, record_every: int, lists: Lists, dt, params
         watched = path.watch(seen, state)
 
         def further(state):
+            state = state._replace(loading=path.recorded(seen, state))
             return jax.lax.scan(lambda s, _: (step(load, s), None), state, None, length=record_every)[0]
 
         if type(path).going is Path.going:
@@ -187,15 +188,20 @@ def march_until(
             recorded &= now.records < limit
             place = jnp.where(recorded, now.records, records)  # beyond the end: not written
             seen = jax.tree.map(lambda values, value: values.at[place].set(value, mode="drop"), seen, found)
+        steps = now.steps + taken
         watched = jax.tree.map(
             lambda old, new: jnp.where(due == 0, new, old), now.watched, path.watch(found, state)
         )
+        if state.loading is not None:
+            on = (due == 0) & path.going(watched, steps)
+            loading = jax.tree.map(partial(jnp.where, on), path.recorded(found, state), state.loading)
+            state = state._replace(loading=loading)
         return Stretch(
             state=state,
             seen=seen,
             records=now.records + recorded,
             due=jnp.where(recorded, record_every, due),
-            steps=now.steps + taken,
+            steps=steps,
             watched=watched,
             status=now.status | status,
             worn=wear(network, state, load) > 1,

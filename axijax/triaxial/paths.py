@@ -52,6 +52,10 @@ class Path:
         closed = (speeds[0] - speeds[1]) * dt / state.loading.height
         return state.loading._replace(path_length=state.loading.path_length + jnp.abs(closed))
 
+    def recorded(self, seen: Observation, state: State) -> Loading | None:
+        """What it remembers after a record, of what it remembered before."""
+        return state.loading
+
     def watch(self, seen: Observation, state: State) -> Any:
         """What of a record decides whether it goes on; a pytree. Before the first all that is seen is infinite."""
         return None

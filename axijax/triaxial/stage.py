@@ -24,6 +24,7 @@ from axijax.mechanics.dynamics import positions
 from axijax.mechanics.membrane import lateral_force
 from axijax.mechanics.state import State
 from axijax.triaxial.commands import (
+    CATCHING,
     LEAST,
     QUIET,
     Cycling,
@@ -81,9 +82,10 @@ class Until:
 
 
 class StageMemory(NamedTuple):
-    """Where the stage started, and what its commands remember."""
+    """Where the stage started, and what its commands remember. volume: at its first record; zero before [L^3]."""
 
     start: Start
+    volume: jax.Array
     platens: Any
     membrane: Any
 
@@ -123,7 +125,8 @@ class Stage(Path):
             speed=jnp.asarray(params.platen_speed, height.dtype),
             confining_stress=jnp.asarray(params.confining_stress, height.dtype),
         )
-        memory = StageMemory(start, self.platens.begin(start), self.membrane.begin(start))
+        nothing = jnp.zeros_like(start.axial_strain)
+        memory = StageMemory(start, nothing, self.platens.begin(start), self.membrane.begin(start))
         return loading._replace(memory=memory)
 
     def _now(self, params, dt, state: State, push, section) -> Now:
@@ -170,9 +173,25 @@ class Stage(Path):
             lateral_strain=now.lateral_strain,
             path_length=before.path_length + closed / before.height,
             error=error / start.confining_stress,
-            memory=StageMemory(start, platens, membrane),
+            memory=memory._replace(platens=platens, membrane=membrane),
         )
         return jax.tree.map(lambda new, old: jnp.asarray(new, jnp.asarray(old).dtype), found, before)
+
+    def recorded(self, seen, state):
+        """The lateral strain follows the volume that is recorded, from record to record; between them it is that of the
+        membrane's balls, which is known at every step."""
+        if not self._keeps_strain:
+            return state.loading
+        loading, memory = state.loading, state.loading.memory
+        first = memory.volume == 0
+        volume = jnp.where(first, seen.volume, memory.volume)
+        axial = jnp.log(loading.height / seen.height) - memory.start.axial_strain
+        lateral = memory.start.lateral_strain - 0.5 * (jnp.log(seen.volume / volume) + axial)
+        caught = loading.lateral_strain + CATCHING * (lateral - loading.lateral_strain)
+        return loading._replace(
+            lateral_strain=jnp.where(first, loading.lateral_strain, caught).astype(loading.lateral_strain.dtype),
+            memory=memory._replace(volume=volume.astype(memory.volume.dtype)),
+        )
 
     def watch(self, seen, state):
         """A number: 0 goes on, 1 is done, more than that see ENDED."""
