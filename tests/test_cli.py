@@ -53,9 +53,10 @@ def test_table_has_the_stated_columns(saved):
     with open(folder / "table1.csv") as file:
         table = list(csv.DictReader(file))
     assert tuple(table[0]) == (
-        "boundary", "sectors", "friction", "theory", "paper", "peak_ratio", "core_ratio", "virial_ratio",
-        "axial_strain_at_peak", "seconds",
+        "stiffness", "boundary", "sectors", "friction", "theory", "paper", "peak_ratio", "core_ratio", "virial_ratio",
+        "paper_strain", "axial_strain_at_peak", "flat_from", "flat_to", "seconds",
     )  # fmt: skip
+    assert [row["stiffness"] for row in table] == ["ball", "ball"]
     assert [row["friction"] for row in table] == ["0.05", "0.12278"]
     assert float(table[1]["peak_ratio"]) == pytest.approx(float(np.max(rows[1].run.curve.stress_ratio)), abs=1e-6)
 
