@@ -4,10 +4,11 @@
 
 The paper leaves open what its stiffness 1.5e9 belongs to, whether its membrane forces follow the specimen, over which
 area it takes the axial stress, how the platens stand during confinement, how stiff they are, and through which radius
-its membrane goes. Each column is the whole table, seven rows, under one set of them; the last has a stiffness fitted to
-all fourteen numbers by `calibrate`. A cell holds the peak stress ratio and the strain there [%] with its flat top. Below
-it how far the paper's numbers are away in the mean, and how many of them agree (`axijax.app.table1.misfit`): a peak as
-it is rounded, a strain within the flat top; where the paper's 3.25 contradicts its difference column, either will do.
+its membrane goes. Each column of the table is all seven rows under one set of them; the last has a stiffness fitted to
+all fourteen numbers by `calibrate`. A cell holds the peak stress ratio, the strain there [%] and its flat top. Below
+stand how far the paper's numbers are away in the mean, and how many of them agree (`axijax.app.table1.misfit`): a peak
+as it is rounded, a strain within the flat top; where the paper's 3.25 contradicts its difference column, either will
+do.
 
 Full cylinders are run as quarters, which by symmetry are the same trajectory (`tests/validation/test_symmetry.py`).
 """
@@ -75,8 +76,9 @@ class Conventions:
     """One reading of the paper; the default is `axijax table1`'s apart from what the columns' names say.
 
     stiffness: of a contact [F/L]. platens: their stiffness over that. fixed: membrane forces fixed in size from the
-    start of the shear in all rows, not the full cylinder's alone. first_area: axial stress over the area at that moment.
-    held: platens during confinement. mean_radius: Rm is the mean of the outer balls' radii, not their middle.
+        start of the shear in all rows, not the full cylinder's alone. first_area: axial stress over the area at that
+        moment. held: platens during confinement. mean_radius: Rm is the mean of the outer balls' radii, not their
+        middle.
     """
 
     stiffness: float = PAPER_STIFFNESS / 2
@@ -88,9 +90,7 @@ class Conventions:
 
     def test(self, paper_run: PaperRun) -> axijax.TriaxialTest:
         stiffness = {"normal_stiffness": self.stiffness, "shear_stiffness": self.stiffness}
-        material = (
-            axijax.Linear() if self.platens == 1 else OwnPlatens(platen_stiffness=self.platens * self.stiffness)
-        )
+        material = axijax.Linear() if self.platens == 1 else OwnPlatens(platen_stiffness=self.platens * self.stiffness)
         specimen = axijax.fcc_octagon()
         return axijax.TriaxialTest(
             replace(specimen, zone_rule="exposure") if self.mean_radius else specimen,
@@ -177,18 +177,30 @@ def fitted(conventions: Conventions) -> float:
     return fit.estimate["normal_stiffness"]
 
 
-def show(columns: dict[str, list[Row]]) -> None:
-    width = max(map(len, columns)) + 1
-    for name, rows in columns.items():
-        distance, agreeing = misfit(rows)
-        print(f"{name:{width}s}{100 * distance:5.1f} % away, {agreeing:2d} of 14 agree")
-        for row in rows:
-            start, end = row.flat
-            paper = row.paper_run
-            print(
-                f"    {paper.name:24s}{row.peak.stress_ratio:.3f} ({paper.paper:.2f})  at {100 * row.peak.axial_strain:.2f} %, "
-                f"flat {100 * start:.2f}..{100 * end:.2f} ({100 * paper.paper_strain:.2f})"
-            )
+def whole(conventions: Conventions) -> list[Row]:
+    """All rows of the table, two at a time."""
+    rows = parallel(conventions.row, PAPER_RUNS, 2)
+    for row in rows:
+        if isinstance(row, Exception):
+            raise row
+    return [row for row in rows if isinstance(row, Row)]
+
+
+def cell(row: Row) -> str:
+    start, end = row.flat
+    return f"{row.peak.stress_ratio:.3f} at {100 * row.peak.axial_strain:.2f} ({100 * start:.2f}..{100 * end:.2f})"
+
+
+def summary(rows: list[Row]) -> str:
+    distance, agreeing = misfit(rows)
+    return f"{100 * distance:.1f} % away; {agreeing} of {2 * len(rows)}"
+
+
+def show(name: str, rows: list[Row]) -> None:
+    print(f"{name}: {summary(rows)}")
+    for row in rows:
+        paper = row.paper_run
+        print(f"    {paper.name:24s}{cell(row)}, paper {paper.paper:.2f} at {100 * paper.paper_strain:.2f}", flush=True)
 
 
 def main() -> None:
@@ -196,16 +208,21 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=Path("paper_conventions.csv"), help="table to write")
     output = parser.parse_args().output
     began = time.perf_counter()
-    jobs = [(name, paper_run) for name in COLUMNS for paper_run in PAPER_RUNS]
-    rows = parallel(lambda job: COLUMNS[job[0]].row(job[1]), jobs, 2)
-    for row in rows:
-        if isinstance(row, Exception):
-            raise row
-    columns = {name: [row for (column, _), row in zip(jobs, rows, strict=True) if column == name] for name in COLUMNS}
-    show(columns)
+    columns = {}
+    for name, conventions in COLUMNS.items():
+        columns[name] = whole(conventions)
+        show(name, columns[name])
     kn = fitted(Conventions())
-    show({f"kn fitted {kn:.3g}": [Conventions(kn).row(paper_run) for paper_run in PAPER_RUNS]})
-    print(f"{time.perf_counter() - began:.0f} s")
+    columns[f"kn = {kn:.3g}, fitted"] = whole(Conventions(kn))
+    show(*list(columns.items())[-1])
+    table = [
+        {"row": paper_run.name, "paper": f"{paper_run.paper:.2f} at {100 * paper_run.paper_strain:.2f}"}
+        | {name: cell(rows[place]) for name, rows in columns.items()}
+        for place, paper_run in enumerate(PAPER_RUNS)
+    ]
+    table.append({"row": "misfit", "paper": ""} | {name: summary(rows) for name, rows in columns.items()})
+    save_table(output, list(table[0]), table)
+    print(f"{time.perf_counter() - began:.0f} s; written: {output}")
 
 
 if __name__ == "__main__":

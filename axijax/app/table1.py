@@ -89,7 +89,7 @@ NOTES = (
     "Rigid planes, f = 0.3: the paper prints 3.25 beside a difference of 23.6 %, but 3.25 is 12.5 % below 3.71; "
     "23.6 % below would be 2.84. This program supports the percentage.",
     "Full system: membrane forces are fixed in size before the shear, as the paper had it. Where they follow the "
-    "specimen, as in the quarter, the full cylinder is the quarter's trajectory by symmetry: its peak is the same to 5e-5.",
+    "specimen, as in the quarter, it is the quarter's trajectory by symmetry: its peak is the same to 5e-5.",
 )
 
 

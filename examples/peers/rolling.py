@@ -113,7 +113,7 @@ def main() -> None:
                 for code, theirs in others.items():
                     mean, largest, peak, at, other, there = compare(ours, theirs)
                     print(
-                        f"  f {friction:4.2f} eta_r {eta:3.1f}  {code:20s} R differs by {100 * mean:.2f} % in the mean, "
+                        f"  f {friction:4.2f} eta_r {eta:3.1f}  {code:20s}R differs by {100 * mean:.2f} % in the mean, "
                         f"{100 * largest:.2f} % at most; peak {peak:.3f} at {100 * at:.2f} %, theirs {other:.3f} at "
                         f"{100 * there:.2f} % ({100 * (other / peak - 1):+.2f} %)",
                         flush=True,

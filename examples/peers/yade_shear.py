@@ -6,8 +6,8 @@ rolling stiffness ks R1 R2 alphaKr, moment cut at etaRoll min(R1, R2) times the 
 kn = 2 E1 r1 E2 r2/(E1 r1 + E2 r2) and likewise ks of poisson * young, so each size of ball is a material with
 young = kn/radius; against a wall, which has one young for all sizes, kn and ks are put right where they are not.
 
-The spring of a contact turns with the common spin of its balls, and ours does not; in a triaxial test nothing spins that
-way. The membrane's forces are permanent forces, turned to the axis at every record. Prints one line of JSON.
+The spring of a contact turns with the common spin of its balls, and ours does not; in a triaxial test nothing spins
+that way. The membrane's forces are permanent forces, turned to the axis at every record. Prints one line of JSON.
 """
 
 import argparse
