@@ -1,16 +1,17 @@
-"""Rolling resistance beside YADE and LAMMPS, on one and the same random packing; ten minutes on two cores.
+"""Rolling resistance beside YADE and LAMMPS, on the same random packings; half an hour on two cores.
 
-    python examples/peers/rolling.py [--balls 500] [--seeds 3] [--codes YADE,LAMMPS]
+    python examples/peers/rolling.py [--balls 500] [--seeds 4] [--codes YADE,LAMMPS] [--keep curves.npz]
 
 A full cylinder of balls is compacted and confined here. From the confined positions, at rest and without springs, each
 code shears it with the membrane's forces fixed in size, Cundall's local damping and the same time step, for four pairs
 of friction f and rolling friction eta_r. Balls are of many sizes for YADE, whose law is ours. LAMMPS gets equal balls:
 its `rolling sds` uses the effective radius R1 R2/(R1 + R2) with one pair of numbers for all contacts, so that it is our
-law for equal balls only, with mu_r = 2 eta_r and k_r = 4 alpha_r ks; YADE shears these too.
+law for equal balls only, with mu_r = 2 eta_r and k_r = 4 alpha_r ks.
 
-Balls lose each other's trace soon: the same program with a start moved by 1e-9 of a radius is what another code can be
-asked to agree with, and stands beside it. Printed for each pair, up to the peak: mean and largest difference in R from
-ours, as shares of R, after a running mean over 0.1 % strain; then the peak itself.
+Neighbouring trajectories of a random packing part soon: the same program from a start moved by 1e-9 of a radius is what
+another code can be asked to agree with, and stands beside it. Printed for each pair, up to our peak: mean and largest
+difference in R from ours, as shares of R, after a running mean over 0.1 % strain; for each packing, and for the mean
+curve of all packings.
 """
 
 import argparse
@@ -32,6 +33,7 @@ from axijax.triaxial.progress import Progress, begin  # noqa: E402
 PAIRS = ((0.4, 0.0), (0.4, 0.1), (0.4, 0.3), (0.25, 0.5))
 STIFFNESS_RATIO, ROLLING_STIFFNESS = 0.3, 0.5
 SMOOTHED = 0.001  # strain of the running mean
+OURS, MOVED = "ours", "moved"
 
 
 def make_test(specimen, friction, eta, inertial_number, axial_strain, confining_friction) -> axijax.TriaxialTest:
@@ -77,52 +79,81 @@ def curve_of(curve):
     return np.asarray(curve.axial_strain), np.asarray(curve.stress_ratio)
 
 
+def shear(specimen, pair, options, compaction_friction, codes) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Curves of one packing by code, ours first; strain and stress ratio each."""
+    settings = options.inertial_number, options.axial_strain, compaction_friction
+    test = make_test(specimen, *pair, *settings)
+    confined = begin(test, test.params)
+    start = from_rest(test, confined)
+    curves = {
+        OURS: curve_of(test.run(start=start).curve),
+        MOVED: curve_of(test.run(start=from_rest(test, confined, 1e-9)).curve),
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        scene = Path(folder) / "scene.npz"
+        peers.write_packing(scene, test, start.state, start.fixed)
+        steps = test.prepared.numerics.records * test.record_every
+        for code in codes:
+            done = peers.run_peer(code, scene, steps, damping="local")
+            curves[code] = done.axial_strain, done.stress_ratio
+    return curves
+
+
+def show(pair, other: str, curves) -> None:
+    mean, largest, peak, at, theirs, there = compare(curves[OURS], curves[other])
+    print(
+        f"  f {pair[0]:4.2f} eta_r {pair[1]:3.1f} {other:8s}R differs by {100 * mean:.2f} % in the mean, "
+        f"{100 * largest:.2f} % at most; peak {peak:.3f} at {100 * at:.2f} %, theirs {theirs:.3f} at "
+        f"{100 * there:.2f} % ({100 * (theirs / peak - 1):+.2f} %)",
+        flush=True,
+    )
+
+
+def mean_curve(curves):
+    """Of several packings."""
+    strain = np.linspace(0, min(curve[0][-1] for curve in curves), 2001)
+    return strain, np.mean([np.interp(strain, *curve) for curve in curves], axis=0)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--balls", type=int, default=500)
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--inertial-number", type=float, default=5e-4)
-    parser.add_argument("--axial-strain", type=float, default=0.05)
+    parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--inertial-number", type=float, default=1e-3)
+    parser.add_argument("--axial-strain", type=float, default=0.03)
     parser.add_argument("--codes", default="YADE,LAMMPS")
     parser.add_argument("--keep", type=Path, help="file for all curves (.npz)")
     options = parser.parse_args()
     lacking = peers.missing()
-    for code, why in lacking.items():
-        print(f"{code}: {why}")
     codes = [code for code in options.codes.split(",") if code not in lacking]
+    for code in set(options.codes.split(",")) & set(lacking):
+        print(f"{code}: {lacking[code]}")
     kept = {}
-    unequal = [code for code in codes if code == peers.YADE]
-    for name, grading, wanted in (("radii 16 to 24", linear(16.0, 24.0), unequal), ("equal balls", uniform(), codes)):
+    for code, name, grading in ((peers.YADE, "radii 16 to 24", linear(16.0, 24.0)), (peers.LAMMPS, "equal", uniform())):
+        if code not in codes:
+            continue
+        found = {pair: [] for pair in PAIRS}
         for seed in range(options.seeds):
             specimen, report = axijax.random_cylinder(options.balls, axijax.Sector(1), grading, seed=seed)
-            print(f"\n{name}, seed {seed}: {len(specimen)} balls, void ratio {report.void_ratio:.3f}")
-            for friction, eta in PAIRS:
-                settings = options.inertial_number, options.axial_strain, report.compaction_friction
-                test = make_test(specimen, friction, eta, *settings)
-                confined = begin(test, test.params)
-                start = from_rest(test, confined)
-                ours = curve_of(test.run(start=start).curve)
-                others = {"ours, moved by 1e-9": curve_of(test.run(start=from_rest(test, confined, 1e-9)).curve)}
-                with tempfile.TemporaryDirectory() as folder:
-                    scene = Path(folder) / "scene.npz"
-                    peers.write_packing(scene, test, start.state, start.fixed)
-                    steps = test.prepared.numerics.records * test.record_every
-                    for code in wanted:
-                        done = peers.run_peer(code, scene, steps, damping="local")
-                        others[code] = done.axial_strain, done.stress_ratio
-                for code, theirs in others.items():
-                    mean, largest, peak, at, other, there = compare(ours, theirs)
+            print(f"{name}, seed {seed}: {len(specimen)} balls, void ratio {report.void_ratio:.3f}", flush=True)
+            for pair in PAIRS:
+                curves = shear(specimen, pair, options, report.compaction_friction, [code])
+                found[pair].append(curves)
+                for other in (MOVED, code):
                     print(
-                        f"  f {friction:4.2f} eta_r {eta:3.1f}  {code:20s}R differs by {100 * mean:.2f} % in the mean, "
-                        f"{100 * largest:.2f} % at most; peak {peak:.3f} at {100 * at:.2f} %, theirs {other:.3f} at "
-                        f"{100 * there:.2f} % ({100 * (other / peak - 1):+.2f} %)",
+                        f"  f {pair[0]:4.2f} eta_r {pair[1]:3.1f} {other:8s}{told(curves[OURS], curves[other])}",
                         flush=True,
                     )
-                    key = f"{name} {seed} {friction} {eta}"
-                    kept[f"{key} {code}"] = np.stack(theirs)
-                    kept[f"{key} ours"] = np.stack(ours)
-    if options.keep:
-        np.savez(options.keep, **kept)
+                kept |= {f"{name} {seed} {pair} {which}": np.stack(curve) for which, curve in curves.items()}
+                if options.keep:
+                    np.savez(options.keep, **kept)
+        print(f"{name}, mean curves of {options.seeds} packings")
+        for pair, runs in found.items():
+            means = {which: mean_curve([curves[which] for curves in runs]) for which in (OURS, MOVED, code)}
+            for other in (MOVED, code):
+                print(
+                    f"  f {pair[0]:4.2f} eta_r {pair[1]:3.1f} {other:8s}{told(means[OURS], means[other])}", flush=True
+                )
 
 
 if __name__ == "__main__":
