@@ -98,11 +98,12 @@ def write_packing(path: Path, test, state, load) -> None:
 
 def run_peer(
     code: str, scene: Path, steps: int, cores: tuple[int, ...] = (0,), record: int = 50, damping: str = "dashpot",
-    time_step: float | None = None, speed: float | None = None,
+    time_step: float | None = None, speed: float | None = None, lammps: str = "lammps_shear.py",
 ) -> Shear:  # fmt: skip
     """Shear a scene in another code on the given cores; one rank (LAMMPS) or thread (YADE) a core.
 
     damping: "dashpot" (LAMMPS only) or "local". time_step [T], speed of each platen [L/T]: the scene's unless given.
+    lammps: the script that drives LAMMPS.
 
     Raises RuntimeError with the end of the peer's output where it fails.
     """
@@ -110,7 +111,7 @@ def run_peer(
     for name, value in (("--time-step", time_step), ("--speed", speed)):
         options += [name, repr(float(value))] if value is not None else []
     if code == LAMMPS:
-        command = [sys.executable, str(HERE / "lammps_shear.py"), *options]
+        command = [sys.executable, str(HERE / lammps), *options]
         if len(cores) > 1:
             command = [str(Path(sys.executable).parent / "mpiexec"), "-n", str(len(cores)), *command]
     else:

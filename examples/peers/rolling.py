@@ -94,7 +94,7 @@ def shear(specimen, pair, options, compaction_friction, codes) -> dict[str, tupl
         peers.write_packing(scene, test, start.state, start.fixed)
         steps = test.prepared.numerics.records * test.record_every
         for code in codes:
-            done = peers.run_peer(code, scene, steps, damping="local")
+            done = peers.run_peer(code, scene, steps, damping="local", lammps="lammps_rolling.py")
             curves[code] = done.axial_strain, done.stress_ratio
     return curves
 
@@ -140,10 +140,7 @@ def main() -> None:
                 curves = shear(specimen, pair, options, report.compaction_friction, [code])
                 found[pair].append(curves)
                 for other in (MOVED, code):
-                    print(
-                        f"  f {pair[0]:4.2f} eta_r {pair[1]:3.1f} {other:8s}{told(curves[OURS], curves[other])}",
-                        flush=True,
-                    )
+                    show(pair, other, curves)
                 kept |= {f"{name} {seed} {pair} {which}": np.stack(curve) for which, curve in curves.items()}
                 if options.keep:
                     np.savez(options.keep, **kept)
@@ -151,9 +148,7 @@ def main() -> None:
         for pair, runs in found.items():
             means = {which: mean_curve([curves[which] for curves in runs]) for which in (OURS, MOVED, code)}
             for other in (MOVED, code):
-                print(
-                    f"  f {pair[0]:4.2f} eta_r {pair[1]:3.1f} {other:8s}{told(means[OURS], means[other])}", flush=True
-                )
+                show(pair, other, means)
 
 
 if __name__ == "__main__":
