@@ -172,7 +172,7 @@ def fitted(conventions: Conventions) -> float:
     table = WholeTable(conventions)
     bounds = {"kn": (0.2 * PAPER_STIFFNESS, PAPER_STIFFNESS)}
     model = Model(table, ParameterSet.of(table.params, "kn", bounds))
-    fit = fit_parameters(model, table.data(), "kn", start="test", jacobian="difference", by_rule=False, max_runs=20)
+    fit = fit_parameters(model, table.data(), "kn", start="test", jacobian="tangent", max_runs=20)
     print(fit)
     return fit.estimate["normal_stiffness"]
 
