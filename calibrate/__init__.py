@@ -8,7 +8,7 @@ from importlib import import_module
 
 _PLACES = {
     "targets": ("Datum", "HardPeak", "InitialSlope", "RatioAt", "SmoothPeak", "StrainAtPeak", "WindowMean"),
-    "measured": ("DataError", "MeasuredCurve", "ROWE", "RoweTest"),
+    "measured": ("DataError", "MeasuredCurve", "ROWE", "RoweTest", "read_measured"),
     "parameters": ("ParameterSet", "Prior"),
     "model": ("Cost", "Model", "RunFailed", "jacobian_of", "stretch_tangent"),
     "gradients": ("Gradient", "Health", "gradient", "gradient_health"),

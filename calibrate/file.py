@@ -8,7 +8,7 @@ from pathlib import Path
 from axijax.core.files import draw_afterwards
 from calibrate.fit import fit_parameters
 from calibrate.gradients import Health, gradient
-from calibrate.measured import DataError, MeasuredCurve
+from calibrate.measured import DataError, MeasuredCurve, read_measured
 from calibrate.model import Model
 from calibrate.parameters import ParameterSet
 from calibrate.result import Fit
@@ -24,12 +24,12 @@ def calibrate_file(
     parameters are the reference for whatever is not fitted and whose axial_strain the data must not exceed.
     output: folder for fit.json, fit.png and evaluations.jsonl (an interrupted fit resumes from it).
     check: end with the health of the gradient at the answer (six runs a parameter).
-    report: called with each line of text. columns: of MeasuredCurve.from_csv, such as unit="percent", sign=-1.
+    report: called with each line of text. columns: of read_measured, such as unit="percent", sign=-1.
 
     Raises DataError for data that cannot be used, ValueError for names and strains that make no sense, RunFailed where
     no start gives a sound run. Warns of data that look wrong; the warnings stand in the fit and in fit.json too.
     """
-    curve = MeasuredCurve.from_csv(data, **columns)
+    curve = read_measured(data, **columns)
     if curve.last_strain > test.axial_strain:
         raise DataError(
             f"{Path(data).name}: '{curve.label}' goes to strain {curve.last_strain:g}, but the test stops at "
