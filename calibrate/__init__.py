@@ -8,6 +8,15 @@ from importlib import import_module
 
 _PLACES = {
     "targets": ("Datum", "HardPeak", "InitialSlope", "RatioAt", "SmoothPeak", "StrainAtPeak", "WindowMean"),
+    "functionals": (
+        "E50",
+        "FrictionAngle",
+        "MaxDilatancy",
+        "StressDilatancy",
+        "VoidRatioAt",
+        "VolumeAt",
+        "rowe_constant",
+    ),
     "measured": ("DataError", "MeasuredCurve", "ROWE", "RoweTest", "read_measured"),
     "parameters": ("ParameterSet", "Prior"),
     "model": ("Cost", "Model", "RunFailed", "jacobian_of", "stretch_tangent"),
