@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from axijax.app.cli.batch import batch
-from axijax.app.cli.calibrate import calibrate
+from axijax.app.cli.calibrate import calibrate, sensitivity
 from axijax.app.cli.check import check
 from axijax.app.cli.errors import complain, filling, guarded
 from axijax.app.cli.run import new, resume, run
@@ -146,6 +146,10 @@ COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "axijax calibrate measured.csv --fit friction,kn --case first.toml",
         "axijax calibrate karlsruhe.csv --test TMD18 --bounds friction=0.1,1.2 --uncertainty stress_ratio=0.05",
         "axijax calibrate lab.csv --column 'axial_displacement=Weg [mm]' --height '10 cm' --confining-stress '2 bar'",
+    ),
+    sensitivity: (
+        "axijax sensitivity first.toml",
+        "axijax sensitivity sand.toml --parameters friction,kn,ks --packings 8 --uncertainty stress_ratio=0.05",
     ),
     table1: ("axijax table1", "axijax table1 --output paper"),
 }
