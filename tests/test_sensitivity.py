@@ -18,8 +18,8 @@ END = 0.05
 
 
 class Formula:
-    """R = 1 + f^2 g(x) and eps_v = -f x / 10 (1 + gain), x = strain kn/s3 / 1e4, g = x/(1 + x): kn and s3 act by their
-    ratio only, ks and the density not at all. packing: (gain of R's slope by log f). broken: names of runs that fail."""
+    """R = 1 + f^(2 + gain) x/(1 + x) and eps_v = -f x / 10, x = strain kn/s3 / 1e4: kn and s3 act by their ratio only,
+    ks and the density not at all. broken: (name, side) of runs that fail. kink: of R against f, too small to see."""
 
     axial_strain = END
 

@@ -13,7 +13,7 @@ from axijax.app.cli.calibrate import calibrate, sensitivity
 from axijax.app.cli.check import check
 from axijax.app.cli.errors import complain, filling, guarded
 from axijax.app.cli.run import new, resume, run
-from axijax.app.cli.show import plot, report, snapshot
+from axijax.app.cli.show import cite, plot, report, snapshot
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -151,6 +151,7 @@ COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "axijax sensitivity first.toml",
         "axijax sensitivity sand.toml --parameters friction,kn,ks --packings 8 --uncertainty stress_ratio=0.05",
     ),
+    cite: ("axijax cite", "axijax cite results/first"),
     table1: ("axijax table1", "axijax table1 --output paper"),
 }
 for command, examples in COMMANDS.items():
