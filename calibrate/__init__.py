@@ -28,7 +28,7 @@ _PLACES = {
     "secant": ("fit_friction_to_peak", "fit_one"),
     "descent": ("fit_by_descent", "fit_friction_per_ball"),
     "file": ("calibrate_file",),
-    "sensitivity": ("Sensitivity", "sensitivity"),
+    "sensitivity": ("Sensitivity", "further_tests", "sensitivity"),
 }
 _HOME = {name: module for module, names in _PLACES.items() for name in names}
 

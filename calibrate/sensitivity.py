@@ -109,6 +109,15 @@ class Sensitivity:
             found.append(Direction(vector, float(1 / max(value, 1e-12)), min(noise, 1e12), *map(float, moved)))
         return tuple(found)
 
+    @property
+    def information(self) -> np.ndarray:
+        """(P, P) information on log p of data at these strains, less what the slopes' own errors add to it."""
+        weights = np.array(self.sigma)[None, :, None]
+        slopes = (self.slopes / weights).reshape(len(self.names), -1)
+        noise = ((np.nan_to_num(self.errors) / weights) ** 2).reshape(len(self.names), -1).sum(axis=1)
+        values, vectors = np.linalg.eigh(slopes @ slopes.T - np.diag(noise))
+        return (vectors * np.maximum(values, 0.0)) @ vectors.T
+
     def __str__(self) -> str:
         how = "tangents" if self.differences is not None else f"differences, mean of {self.packings} packings"
         width = max(map(len, self.names)) + 2
@@ -224,6 +233,33 @@ def sensitivity(
         "shorter strain." for name, gap in zip(named, apart.max(axis=1), strict=True) if gap > AGREE
     ]  # fmt: skip
     return replace(result, notes=(*result.notes, *more))
+
+
+def further_tests(found: Mapping[str, Sensitivity]) -> list[str]:
+    """Which test narrows the parameters most beside the first, in lines: standard errors of log p from the first alone
+    and with each other, that with the most information first.
+
+    Linear, at the parameters of the cases; before any data each parameter is known to a factor e. Raises ValueError
+    where the cases have other parameters.
+    """
+    (first, start), *others = found.items()
+    for name, one in others:
+        if one.names != start.names:
+            raise ValueError(f"'{name}' has the parameters {', '.join(one.names)}, '{first}' {', '.join(start.names)}: "
+                             "name those that both have.")  # fmt: skip
+    before = start.information + np.eye(len(start.names)) / UNKNOWN**2
+
+    def told(information) -> str:
+        errors = np.sqrt(np.diag(np.linalg.inv(information)))
+        return ", ".join(f"{name} {100 * error:.2g} %" for name, error in zip(start.names, errors, strict=True))
+
+    both = {name: before + one.information for name, one in others}
+    gain = {name: 0.5 * (np.linalg.slogdet(one)[1] - np.linalg.slogdet(before)[1]) for name, one in both.items()}
+    lines = [f"what data would tell, one standard error (before any, 100 %): {first} alone: {told(before)}"]
+    return lines + [
+        f"  with {name}: {told(both[name])} (gains {gain[name]:.2g} nats)"
+        for name in sorted(gain, key=lambda name: -gain[name])
+    ]
 
 
 def _parameters(params, names) -> tuple[dict[str, tuple[Quantity, float]], list[str]]:

@@ -12,7 +12,7 @@ from cli_in_process import axijax, write
 from axijax import Params
 from axijax.app.case import Case
 from calibrate.model import RunFailed
-from calibrate.sensitivity import sensitivity
+from calibrate.sensitivity import further_tests, sensitivity
 
 END = 0.05
 
@@ -93,6 +93,22 @@ def test_directions_are_named_in_words(formula):
     assert one.directions[0].standard_error == pytest.approx(wanted, rel=1e-4)
 
 
+def test_which_further_test_tells_most(formula):
+    """One parameter: information adds, with that of the prior, and the gain is half the log of their ratio."""
+    one = only(formula, "friction")
+    poor, rich = replace(one, slopes=1e-3 * one.slopes), replace(one, slopes=3 * one.slopes)
+    first, second, third = further_tests({"a": one, "poor": poor, "rich": rich})
+    held = ((one.slopes[0] / np.array([[0.02], [1e-4]])) ** 2).sum()
+    assert f"a alone: friction {100 / np.sqrt(held + 1):.2g} %" in first
+    assert second.startswith(f"  with rich: friction {100 / np.sqrt(10 * held + 1):.2g} %")
+    assert f"(gains {0.5 * np.log((10 * held + 1) / (held + 1)):.2g} nats)" in second and "with poor" in third
+    # What packings scatter is no information.
+    noisy = replace(one, errors=np.abs(one.slopes))
+    assert noisy.information == pytest.approx(0.0, abs=1e-6 * held)
+    with pytest.raises(ValueError, match="'b' has the parameters normal_stiffness, 'a' friction"):
+        further_tests({"a": one, "b": only(formula, "normal_stiffness")})
+
+
 def test_packings_scatter_and_their_errors():
     """The slope by log f of R is (2 + gain) f^(2 + gain) g for each packing: mean and standard error are known."""
     gains = [-0.2, 0.0, 0.1, 0.3]
@@ -168,7 +184,12 @@ def test_the_command_on_packings(tmp_path, monkeypatch):
         rows = list(csv.reader(line for line in file if not line.startswith("#")))
     assert len(rows) == 1 + 2 * 10 and rows[1][0] == "friction" and rows[-1][0] == "normal_stiffness"
     assert float(rows[1][5]) > 0 and rows[1][6] == ""
+    other = write(tmp_path / "other.toml", case.read_text())
+    several = axijax("sensitivity", case, other, "--parameters", "f", "--packings", "2", "--output", tmp_path / "two")
+    assert several.code == 0 and "sand alone: friction" in several.out and "  with other: friction" in several.out
+    assert (tmp_path / "two" / "other" / "sensitivity.csv").exists()
     for options, words in (
+        ((case,), "must have different names"),
         (("--uncertainty", "R=0"), "must be positive"),
         (("--parameters", "cohesion"), "parameter 'cohesion'"),
     ):

@@ -9,10 +9,11 @@ from typing import Annotated
 import typer
 
 from axijax.app.cli.batch import batch
-from axijax.app.cli.calibrate import calibrate, sensitivity
+from axijax.app.cli.calibrate import calibrate
 from axijax.app.cli.check import check
 from axijax.app.cli.errors import complain, filling, guarded
 from axijax.app.cli.run import new, resume, run
+from axijax.app.cli.sensitivity import sensitivity
 from axijax.app.cli.show import cite, plot, report, snapshot
 
 app = typer.Typer(
@@ -150,6 +151,7 @@ COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
     sensitivity: (
         "axijax sensitivity first.toml",
         "axijax sensitivity sand.toml --parameters friction,kn,ks --packings 8 --uncertainty stress_ratio=0.05",
+        "axijax sensitivity 100kPa.toml 200kPa.toml 800kPa.toml --parameters friction,kn",
     ),
     cite: ("axijax cite", "axijax cite results/first"),
     table1: ("axijax table1", "axijax table1 --output paper"),
