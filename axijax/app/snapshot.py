@@ -17,6 +17,7 @@ from axijax.core.vector import zeros
 from axijax.mechanics.contacts import geometry, resultants
 from axijax.mechanics.dynamics import all_forces, positions
 from axijax.mechanics.membrane import lateral_force, membrane_radius
+from axijax.mechanics.membrane_surface import straightened
 from axijax.mechanics.observe import at_coulomb_limit
 from axijax.mechanics.outer_balls import cell_polygons
 from axijax.triaxial.engine import current_load
@@ -83,7 +84,7 @@ class MembraneCells(NamedTuple):
 
     number, image: ball of each cell and how often it is turned, (Z,).
     places: (2, Z) of the balls on it, x' = theta Rm and z [L]. polygons: corners (P, 2) of each cell [L].
-    area: (Z,) of the cells as loaded [L^2]. force: (Z,) inward [F].
+    area: (Z,) of the cells as loaded [L^2]. force, upward: (Z,) towards the axis and along it [F].
     radius: Rm [L].
     stale: share of the strip counted to a wrong cell since the membrane was triangulated [-].
     """
@@ -94,6 +95,7 @@ class MembraneCells(NamedTuple):
     polygons: list[np.ndarray]
     area: np.ndarray
     force: np.ndarray
+    upward: np.ndarray
     radius: float
     stale: float
 
@@ -206,7 +208,7 @@ def snapshot(
     forces = seen["platens"] * (n if full else 1)
     return Snapshot(
         axial_strain=progress.strain,
-        stress_ratio=float(seen["platens"].mean() / seen["section"] / float(progress.params.confining_stress)),
+        stress_ratio=float(seen["straightened"].mean() / seen["section"] / float(progress.params.confining_stress)),
         confining_stress=float(progress.params.confining_stress),
         sector=sector,
         full=full,
@@ -240,6 +242,7 @@ def _mechanics(scene, params, network, membrane, fixed, dt, state):
         "sliding": sliding,
         "push": jnp.stack(forces.platen_push),
         "platens": forces.platen_forces(network),
+        "straightened": straightened(params.confining_stress, load, forces.platen_forces(network)),
         "lateral": jnp.stack([*lateral]),
         "planes": jnp.stack([*planes]),
         "area": load.lateral if load.lateral.ndim == 1 else jnp.zeros_like(network.radius),
@@ -281,7 +284,7 @@ def _cells(test: TriaxialTest, progress: Progress, seen, heights: np.ndarray, im
     if progress.fixed is not None and progress.fixed.lateral.ndim == 2:  # loaded without a membrane
         none = np.zeros(0, int)
         return MembraneCells(
-            none, none, np.zeros((2, 0)), [], np.zeros(0), np.zeros(0), float(seen["membrane_radius"]), 0.0
+            none, none, np.zeros((2, 0)), [], *[np.zeros(0)] * 3, float(seen["membrane_radius"]), 0.0
         )
     zone, radius = np.asarray(membrane.zone), float(seen["membrane_radius"])
     now = replace(
@@ -297,7 +300,8 @@ def _cells(test: TriaxialTest, progress: Progress, seen, heights: np.ndarray, im
         places=np.concatenate([cells.places + k * shift[:, None] for k in range(images)], axis=1),
         polygons=[polygon + k * shift for k in range(images) for polygon in cells.polygons],
         area=np.tile(seen["area"][cells.balls], images),
-        force=np.tile(np.linalg.norm(seen["lateral"][:, cells.balls], axis=0), images),
+        force=np.tile(np.linalg.norm(seen["lateral"][:2, cells.balls], axis=0), images),
+        upward=np.tile(seen["lateral"][2, cells.balls], images),
         radius=radius,
         stale=float(seen["stale"]),
     )

@@ -11,6 +11,7 @@ from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.contacts import Geometry, geometry
 from axijax.mechanics.dynamics import Forces, Scene, all_forces, next_motion, positions
 from axijax.mechanics.membrane import Load, Membrane, lateral_force, membrane_radius
+from axijax.mechanics.membrane_surface import straightened
 from axijax.mechanics.params import Params
 from axijax.mechanics.state import State
 from axijax.mechanics.volume import solid_volume, void_ratio
@@ -19,8 +20,10 @@ from axijax.mechanics.volume import solid_volume, void_ratio
 class Observation(NamedTuple):
     """Measured at one moment; every field a scalar.
 
-    stress_ratio: R = s1/s3 with s1 = platen force / area of the sector of radius Rm (Cui & O'Sullivan 2005) [-].
-    virial_ratio: F H / (1/2 sum F_i rho_i), platen force F against the lateral load F_i at rho_i; no area in it [-].
+    stress_ratio: R = s1/s3 with s1 = platen force / area of the sector of radius Rm (Cui & O'Sullivan 2005) [-]. Under
+        a membrane that slopes: of the force as `membrane_surface.straightened`.
+    virial_ratio: F H / (1/2 sum F_i rho_i), platen force F against the lateral load F_i at rho_i; no area in it [-]. A
+        membrane's axial forces times their heights are taken off F H.
     core_ratio: vertical over mean horizontal Love-Weber stress of the balls within rho < Rm/2 and the middle 60 %
         of the height [-].
     height, membrane_radius: distance of the platens and radius Rm [L].
@@ -53,7 +56,7 @@ def observe(
     forces = all_forces(scene, params, network, load, dt, state)
     place = positions(network, state)
     height = state.platens[1] - state.platens[0]
-    platen_force = forces.platen_forces(network).mean()
+    platen_force = straightened(params.confining_stress, load, forces.platen_forces(network)).mean()
     lateral = lateral_force(params.confining_stress, load, place)
     radius = membrane_radius(membrane, place)
     solids = solid_volume(network.radius, network.weight, network.sector)
@@ -78,7 +81,7 @@ def observe(
         sliding = (at_coulomb_limit(params, network, force, normal) * touching).sum() / some
     return Observation(
         stress_ratio=platen_force / load.section / params.confining_stress,
-        virial_ratio=platen_force * height / jnp.maximum(-0.5 * lateral.dot(place).sum(), 1e-300),
+        virial_ratio=virial_ratio(forces.platen_forces(network).mean(), lateral, load, place, state.platens),
         core_ratio=core_stress_ratio(network, forces, normal, place, radius, state.platens),
         height=height,
         membrane_radius=radius,
@@ -89,6 +92,15 @@ def observe(
         sliding_fraction=sliding,
         chatter=chatter(params, network, dt, state, forces, pair, normal),
     )
+
+
+def virial_ratio(platen_force, lateral: Vector, load: Load, place: Vector, platens) -> jax.Array:
+    """Mean axial over mean lateral stress from boundary forces and their places alone [-]."""
+    height = platens[1] - platens[0]
+    if load.axial is None:
+        return platen_force * height / jnp.maximum(-0.5 * lateral.dot(place).sum(), 1e-300)
+    upright = platen_force * height - (lateral.z * (place.z - platens.mean())).sum()
+    return upright / jnp.maximum(-0.5 * (lateral.x * place.x + lateral.y * place.y).sum(), 1e-300)
 
 
 def at_coulomb_limit(params: Params, network: ContactList, force: Vector, normal: Vector) -> jax.Array:

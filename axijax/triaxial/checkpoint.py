@@ -113,12 +113,13 @@ def _named(tree) -> list[tuple[str, object]]:
 def _template(test: "TriaxialTest", fixed: bool) -> Progress:
     """A tree of the shape that a progress of this test has."""
     zero = jnp.zeros(())
+    slope = None if test.membrane.surface is None else zero
     return Progress(
         params=test.params,
         network=test.network,
         membrane=test.membrane,
         state=initial_state(test.scene, test.params, test.network, jnp.zeros(2)),
-        fixed=Load(zero, zero) if fixed else None,
+        fixed=Load(zero, zero, axial=slope, ends=slope) if fixed else None,
         confinement=Confinement(zero, zero, zero),
         height=0.0,
         records=no_records(),

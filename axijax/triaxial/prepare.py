@@ -12,7 +12,7 @@ from axijax.core.quantity import parts_of
 from axijax.mechanics.contact_list import ContactList, build_contact_list
 from axijax.mechanics.contact_search import grid_for
 from axijax.mechanics.dynamics import Scene
-from axijax.mechanics.membrane import Load, Membrane, build_membrane, check_load
+from axijax.mechanics.membrane import Load, Membrane, build_membrane, check_load, sloping
 from axijax.mechanics.params import Params, check_params
 from axijax.mechanics.rebuild import roomy_lists
 from axijax.mechanics.rolling import RotationResistance
@@ -106,6 +106,13 @@ def prepare(test: "TriaxialTest") -> Prepared:
     else:
         network = build_contact_list(cut, sector, dtype=test.dtype)
         membrane = build_membrane(cut, sector, dtype=test.dtype)
+    if test.scene.membrane != "radial":
+        if test.lateral_load is not None:
+            raise ValueError(
+                f"scene membrane = '{test.scene.membrane}': would do nothing beside a lateral_load, which takes the "
+                "membrane's place; leave out one of them."
+            )
+        membrane = sloping(membrane, cut, tied=test.scene.membrane == "tied")
     step = test.time_step
     if step is None or not test.allow_unsafe_step:
         limit = critical_time_step(test.scene, params, network)
