@@ -41,7 +41,7 @@ from axijax.mechanics.params import Params, check_params
 from axijax.mechanics.time_step import check_step, critical_time_step
 from axijax.triaxial.many import simulate_many
 from axijax.triaxial.progress import Progress
-from axijax.triaxial.records import RECORDS, Curve, warn_of_chatter
+from axijax.triaxial.records import Curve, records_of, warn_of_chatter
 from axijax.triaxial.stages import simulate
 from axijax.triaxial.test import TriaxialTest
 
@@ -259,7 +259,7 @@ def _together(task: Sequence[Member], tell, done) -> None:
             _each([member], tell, done)
             continue
         wanted = curve.axial_strain <= member.test.axial_strain
-        curve = replace(curve, **{name: getattr(curve, name)[wanted] for name in RECORDS})
+        curve = replace(curve, **{name: getattr(curve, name)[wanted] for name in records_of(curve)})
         warn_of_chatter(curve)
         tell(member.name, 1.0, float(curve.stress_ratio[-1]))
         done(Outcome(member, curve, None, seconds))

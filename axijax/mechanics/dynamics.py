@@ -22,8 +22,7 @@ from axijax.mechanics.membrane_surface import straightened
 from axijax.mechanics.params import Params
 from axijax.mechanics.state import State
 from axijax.mechanics.term import Memory, Push, Term, total
-from axijax.mechanics.walls import WallTerm
-
+from axijax.mechanics.walls import WallForces, WallTerm
 
 MembraneKind = Literal["radial", "normal", "tied"]
 
@@ -50,8 +49,8 @@ class Scene:
 
 
 def spins(scene: Scene, params: Params) -> bool:
-    """Whether balls spin: nothing turns them where neither contacts nor platens have friction."""
-    return scene.rotation and (params.material.frictional or params.material.platen_friction is not None)
+    """Whether balls spin: nothing turns them where neither contacts nor walls have friction."""
+    return scene.rotation and (params.material.frictional or params.material.rough_walls)
 
 
 def terms_of(params: Params, load: Load | None = None) -> tuple[Term, ...]:
@@ -78,9 +77,14 @@ class Forces(NamedTuple):
         return self.pushes[0].detail
 
     @property
+    def walls(self) -> WallForces:
+        """What each wall does."""
+        return self.pushes[1].detail
+
+    @property
     def platen_push(self) -> tuple[jax.Array, jax.Array]:
         """Push of the bottom and of the top platen on each ball, (N,) each, positive [F]."""
-        bottom, top = self.pushes[1].detail.normal[:2]
+        bottom, top = self.walls.normal[:2]
         return bottom, top
 
     @property

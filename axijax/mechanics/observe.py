@@ -15,6 +15,7 @@ from axijax.mechanics.membrane_surface import straightened
 from axijax.mechanics.params import Params
 from axijax.mechanics.state import State
 from axijax.mechanics.volume import solid_volume, void_ratio
+from axijax.mechanics.walls import WallForces, platen_loads
 
 
 class Observation(NamedTuple):
@@ -34,6 +35,12 @@ class Observation(NamedTuple):
     unbalanced_force: mean resultant on a ball over mean contact force [-].
     sliding_fraction: share of the touching contacts at the Coulomb limit [-].
     chatter: how far contacts move to and fro from one step to the next, see `chatter` [-].
+
+    Only where platens have friction, of the whole cylinder, whose horizontal forces cancel between periodic planes:
+    end_restraint: what they hold the specimen's ends together with, the friction towards the axis summed over the balls
+        on both, over their normal forces [-].
+    bottom_shear_x, bottom_shear_y, top_shear_x, top_shear_y: force of the balls on the platen [F].
+    bottom_torque, top_torque: moment of the balls on the platen about the axis [F L].
     """
 
     stress_ratio: jax.Array
@@ -47,6 +54,13 @@ class Observation(NamedTuple):
     unbalanced_force: jax.Array
     sliding_fraction: jax.Array
     chatter: jax.Array
+    end_restraint: jax.Array | None = None
+    bottom_shear_x: jax.Array | None = None
+    bottom_shear_y: jax.Array | None = None
+    bottom_torque: jax.Array | None = None
+    top_shear_x: jax.Array | None = None
+    top_shear_y: jax.Array | None = None
+    top_torque: jax.Array | None = None
 
 
 def observe(
@@ -91,7 +105,26 @@ def observe(
         unbalanced_force=(resultant * network.weight).sum() / network.weight.sum() / jnp.maximum(mean_force, 1e-300),
         sliding_fraction=sliding,
         chatter=chatter(params, network, dt, state, forces, pair, normal),
+        **({} if params.material.platen_friction is None else platen_records(network, place, forces.walls)),
     )
+
+
+def platen_records(network: ContactList, place: Vector, walls: WallForces) -> dict[str, jax.Array]:
+    """What rough platens feel, by the fields of `Observation`."""
+    force, moment = platen_loads(network, place, walls)
+    rho = radial_distance(place)
+    found: dict[str, jax.Array] = {}
+    inward = pressed = jnp.zeros_like(force.z[0])
+    for end, (name, push, held) in enumerate(zip(("bottom", "top"), walls.normal, walls.held, strict=False)):
+        found |= {f"{name}_shear_x": force.x[end], f"{name}_shear_y": force.y[end], f"{name}_torque": moment.z[end]}
+        if held is not None:
+            along = (held.x * place.x + held.y * place.y) / jnp.where(rho > 0, rho, 1.0)
+            inward += (along * network.weight).sum()
+        pressed += (push * network.weight).sum()
+    if network.sector.images > 1:
+        whole = {"shear_x": 0.0, "shear_y": 0.0, "torque": network.sector.order}
+        found = {name: value * whole[name.partition("_")[2]] for name, value in found.items()}
+    return found | {"end_restraint": inward / jnp.maximum(pressed, 1e-300)}
 
 
 def virial_ratio(platen_force, lateral: Vector, load: Load, place: Vector, platens) -> jax.Array:

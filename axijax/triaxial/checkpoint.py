@@ -122,7 +122,7 @@ def _template(test: "TriaxialTest", fixed: bool) -> Progress:
         fixed=Load(zero, zero, axial=slope, ends=slope) if fixed else None,
         confinement=Confinement(zero, zero, zero),
         height=0.0,
-        records=no_records(),
+        records=no_records(test.params),
     )
 
 

@@ -90,6 +90,11 @@ def prepare(test: "TriaxialTest") -> Prepared:
     warn_of_slipping(params, test.confining_friction)
     for term in params.terms:
         term.check(sector)
+    if params.material.plane_friction is not None and sector.boundary != "rigid":
+        raise ValueError(
+            f"plane_friction = {params.material.plane_friction}: would do nothing between periodic sector planes; "
+            "leave it out, or take boundary = 'rigid'."
+        )
     for part in parts_of(params.material):
         if isinstance(part, RotationResistance) and not (test.scene.rotation and params.material.frictional):
             raise ValueError(

@@ -84,7 +84,7 @@ def begin(test: "TriaxialTest", params: Params) -> Progress:
     state = start_shear(test.scene, params, lists, confined)
     fixed = fixed_load(test.refresh, prepared.lateral_load, lists, state)
     height = float(state.platens[1] - state.platens[0])
-    return Progress(params, *lists, state, fixed, balance, height, no_records())
+    return Progress(params, *lists, state, fixed, balance, height, no_records(params))
 
 
 def go_on(test: "TriaxialTest", now: Progress) -> Progress:

@@ -10,6 +10,7 @@ import numpy as np
 
 from axijax.core.status import UNSTABLE, described
 from axijax.mechanics.observe import Observation
+from axijax.mechanics.params import Params
 
 CHATTER = 1e-3  # `observe.chatter` of a sound run is below zero; above this, contacts chatter
 
@@ -42,10 +43,10 @@ class Recorded(NamedTuple):
     unit: str
 
 
-def recorded(long_name: str, unit: str = "1") -> Any:
+def recorded(long_name: str, unit: str = "1", **default: Any) -> Any:
     """A field of `Curve` with one value a record. Files, reports and batches read its declaration from here; a quantity
-    of the same name in `observe.Observation` is taken over."""
-    return field(metadata={"record": Recorded(long_name, unit)})
+    of the same name in `observe.Observation` is taken over. default=None: there only where the scene has it."""
+    return field(metadata={"record": Recorded(long_name, unit)}, **default)
 
 
 @jax.tree_util.register_dataclass
@@ -72,12 +73,25 @@ class Curve:
     sliding_fraction: jax.Array = recorded("share of the contacts at the Coulomb limit")
     chatter: jax.Array = recorded("motion of contacts to and fro from step to step, against what their springs hold")
     membrane_radius: jax.Array = recorded("radius Rm through the middle of the membrane zone", "L")
+    end_restraint: jax.Array | None = recorded("friction on both platens towards the axis, over force", default=None)
+    bottom_shear_x: jax.Array | None = recorded("force of the whole cylinder on the bottom platen", "F", default=None)
+    bottom_shear_y: jax.Array | None = recorded("force of the whole cylinder on the bottom platen", "F", default=None)
+    bottom_torque: jax.Array | None = recorded("its moment on the bottom platen about the axis", "F L", default=None)
+    top_shear_x: jax.Array | None = recorded("force of the whole cylinder on the top platen", "F", default=None)
+    top_shear_y: jax.Array | None = recorded("force of the whole cylinder on the top platen", "F", default=None)
+    top_torque: jax.Array | None = recorded("its moment on the top platen about the axis", "F L", default=None)
     confinement: Confinement
     status: jax.Array
 
 
 # The fields of a curve that hold one value a record, and what is said of each where it is written.
 RECORDS: dict[str, Recorded] = {f.name: f.metadata["record"] for f in fields(Curve) if "record" in f.metadata}
+SOME_HAVE = {f.name for f in fields(Curve) if f.name in RECORDS and f.default is None}  # by what their scenes hold
+
+
+def records_of(curve: Any) -> list[str]:
+    """The names of the records that a curve has; it may also be the dataset of a file."""
+    return [name for name in RECORDS if name not in SOME_HAVE or getattr(curve, name, None) is not None]
 
 
 class Peak(NamedTuple):
@@ -150,10 +164,11 @@ def raise_for_status(status, curve: Curve | None = None) -> None:
         raise SimulationError(f"the test went wrong: {described(bits)}.", curve)
 
 
-def no_records() -> Observation:
-    """An observation of no moment at all."""
+def no_records(params: Params | None = None) -> Observation:
+    """An observation of no moment at all, as a test with these parameters makes them."""
     empty: Any = np.zeros(0)
-    return Observation(*[empty] * len(Observation._fields))
+    rough = params is not None and params.material.platen_friction is not None
+    return Observation(*[empty] * (len(Observation._fields) - (0 if rough else len(SOME_HAVE))))
 
 
 def warn_of_chatter(curve: Curve) -> None:
