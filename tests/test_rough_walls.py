@@ -133,7 +133,7 @@ def momenta(params, network, state):
 @pytest.mark.parametrize("friction", [0.3, float("inf")])
 def test_platens_balance_momentum_and_angular_momentum_of_a_twisting_specimen(friction):
     """Sums over the balls are what platens feel, with the other sign, to 1e-12: at every step, and of the whole motion,
-    which they stop from turning."""
+    whose turning they slow."""
     params = Params(platen_friction=friction, damping=Dashpot(0.1))
     network, state = swirling(params, Sector(1))
     dt = 0.2 * float(critical_time_step(SCENE, params, network))
@@ -155,7 +155,7 @@ def test_platens_balance_momentum_and_angular_momentum_of_a_twisting_specimen(fr
     scale = dt * np.abs(np.asarray(felt)).sum(axis=(0, 3)).max(axis=1)
     for change, first, last, size in zip(impulse, before, after, scale, strict=True):
         np.testing.assert_allclose(last - first, -change, rtol=0, atol=1e-12 * size)
-    assert abs(after[1][2]) < 0.5 * abs(before[1][2]), "they stop it from turning"
+    assert abs(after[1][2]) < 0.9 * abs(before[1][2]), "they slow its turning"
     records = platen_records(network, positions(network, end), all_forces(SCENE, params, network, load, dt, end).walls)
     last = np.asarray(
         platen_loads(network, positions(network, end), all_forces(SCENE, params, network, load, dt, end).walls)
@@ -175,7 +175,7 @@ def test_a_sector_feels_the_torque_of_the_whole_cylinder():
         place = np.asarray(network.positions)
         outward = np.stack([place[0], place[1], 0 * place[2]])
         swirl = np.stack([-place[1], place[0], 0 * place[2]])
-        state = state._replace(velocity=from_rows(1e-3 * swirl + 2e-3 * outward))
+        state = state._replace(velocity=from_rows(1e-3 * swirl + 2e-3 * outward), spin=from_rows(0 * place))
         forces = all_forces(SCENE, params, network, no_load(network), 0.05, state)
         seen.append({k: float(v) for k, v in platen_records(network, positions(network, state), forces.walls).items()})
     full, quarter = seen
@@ -188,10 +188,8 @@ def test_a_sector_feels_the_torque_of_the_whole_cylinder():
 
 @pytest.fixture(scope="module")
 def rough_quarter():
-    params = Params(friction=0.3, platen_friction=0.4, plane_friction=0.2, platen_speed=0.03)
-    test = TriaxialTest(
-        fcc_octagon(layers=5, half_width=3), Sector(4, "rigid"), params=params, tolerance=1e-5, axial_strain=0.003
-    )
+    params = Params(friction=0.1, platen_friction=0.5, platen_speed=0.03)
+    test = TriaxialTest(fcc_octagon(layers=5, half_width=3), params=params, tolerance=1e-5, axial_strain=0.02)
     progress = []
     return test, test.run(progress=progress.append), progress[-1]
 
@@ -200,19 +198,19 @@ def test_records_of_platens_are_there_where_they_are_rough(rough_quarter):
     """And smooth ones make a curve without them."""
     _, run, _ = rough_quarter
     assert run.curve.end_restraint.shape == run.curve.axial_strain.shape
-    assert np.abs(run.curve.end_restraint[1:]).max() < 0.4 * (1 + 1e-9)
+    assert np.abs(run.curve.end_restraint[1:]).max() < 0.5 * (1 + 1e-9)
     assert float(np.abs(run.curve.top_torque).max()) > 0
 
 
-def test_stress_of_the_balls_is_what_rough_platens_planes_and_membrane_put_on_them(rough_quarter):
-    """Love-Weber: the balls' stress summed over their volumes is the boundary forces times their places, friction of
-    every wall included."""
+def test_stress_of_the_balls_is_what_rough_platens_and_membrane_put_on_them(rough_quarter):
+    """Love-Weber: the balls' stress summed over their volumes is the boundary forces times their places, the platens'
+    friction included."""
     test, _, progress = rough_quarter
     seen = snapshot(test, progress)
-    volume = 4 / 3 * np.pi * seen.balls.radius**3
+    volume = 4 / 3 * np.pi * seen.balls.radius**3 * seen.balls.weight
     sideways = float(((seen.balls.stress[0, 0] + seen.balls.stress[1, 1]) * volume).sum())
     membrane = (
         seen.membrane.force * (np.hypot(*seen.balls.positions[:2]) + seen.balls.radius)[seen.membrane.number]
     ).sum()
-    assert abs(seen.platens.restraint) > 0.02 * membrane
-    assert sideways == pytest.approx(membrane + seen.platens.restraint, rel=5e-3)
+    assert seen.platens.restraint > 0.015 * membrane
+    assert sideways == pytest.approx(membrane + seen.platens.restraint, rel=2e-3)
