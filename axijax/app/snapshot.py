@@ -288,9 +288,7 @@ def _cells(test: TriaxialTest, progress: Progress, seen, heights: np.ndarray, im
     membrane, sector = progress.membrane, progress.network.sector
     if progress.fixed is not None and progress.fixed.lateral.ndim == 2:  # loaded without a membrane
         none, still = np.zeros(0, int), np.zeros(0)
-        return MembraneCells(
-            none, none, np.zeros((2, 0)), [], still, still, still, float(seen["membrane_radius"]), 0.0
-        )
+        return MembraneCells(none, none, np.zeros((2, 0)), [], still, still, still, float(seen["membrane_radius"]), 0.0)
     zone, radius = np.asarray(membrane.zone), float(seen["membrane_radius"])
     now = replace(
         test.cut, positions=np.asarray(positions(progress.network, progress.state), float), bottom=heights[0],
