@@ -31,9 +31,10 @@ if _TYPE_CHECKING:
     from axijax.mechanics.params import Params
     from axijax.mechanics.rolling import Rolling, Torsion
     from axijax.specimen.specimen import Specimen, fcc_cylinder, fcc_octagon
+    from axijax.triaxial.peak import find_peak, peak_of
     from axijax.triaxial.prepare import Prepared, prepare
     from axijax.triaxial.random_specimen import platen_speed, random_cylinder
-    from axijax.triaxial.records import Curve, SimulationError, find_peak, raise_for_status
+    from axijax.triaxial.records import Curve, SimulationError, raise_for_status
     from axijax.triaxial.stages import simulate
     from axijax.triaxial.test import TriaxialTest
 
@@ -50,9 +51,10 @@ _HOMES = {
     "mechanics.params": ("Params",),
     "mechanics.rolling": ("Rolling", "Torsion"),
     "specimen.specimen": ("Specimen", "fcc_cylinder", "fcc_octagon"),
+    "triaxial.peak": ("find_peak", "peak_of"),
     "triaxial.prepare": ("Prepared", "prepare"),
     "triaxial.random_specimen": ("platen_speed", "random_cylinder"),
-    "triaxial.records": ("Curve", "SimulationError", "find_peak", "raise_for_status"),
+    "triaxial.records": ("Curve", "SimulationError", "raise_for_status"),
     "triaxial.stages": ("simulate",),
     "triaxial.test": ("TriaxialTest",),
 }
@@ -81,6 +83,7 @@ __all__ = [
     "fcc_cylinder",
     "fcc_octagon",
     "find_peak",
+    "peak_of",
     "platen_speed",
     "prepare",
     "raise_for_status",

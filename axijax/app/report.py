@@ -21,10 +21,12 @@ from axijax.app import figures as pictures
 from axijax.app.case import SECTIONS, to_toml
 from axijax.app.checks import result_checks
 from axijax.app.plot import Measured, case_of, curve_figure, labels, thornton_ratio
-from axijax.app.results import RECORDS, Result
+from axijax.app.results import Result
 from axijax.app.snapshot import snapshot
 from axijax.core.files import draw_afterwards, write_whole
-from axijax.triaxial.records import find_peak
+from axijax.triaxial.laboratory import laboratory
+from axijax.triaxial.peak import at_peak
+from axijax.triaxial.records import QUANTITIES
 
 DPI = 110
 
@@ -134,22 +136,13 @@ def _warning(result: Result, name: str) -> str:
 
 def _summary(result: Result) -> dict[str, str]:
     """What a reader looks for first, by name."""
-    curve, case = result.curve, case_of(result)
-    peak = find_peak(curve.axial_strain.values, curve.stress_ratio.values)
-    if peak.reached:
-        summary = {"peak stress ratio s1/s3 [-]": f"{peak.stress_ratio:.4g}"}
-        summary["axial strain at the peak [%]"] = f"{100 * peak.axial_strain:.3g}"
-    else:
-        summary = {f"largest stress ratio s1/s3 so far [-], {peak.doubt}": f"{peak.stress_ratio:.4g}"}
-        summary["axial strain there [%]"] = f"{100 * peak.axial_strain:.3g}"
+    found, case = laboratory(result.curve), case_of(result)
+    summary = found.rows()
     if case is not None and thornton_ratio(case) is not None:
         summary["Thornton (1979), rigid balls that do not rotate [-]"] = f"{thornton_ratio(case):.4g}"
-    summary |= {
-        "core stress ratio there [-]": f"{float(curve.core_ratio[peak.record]):.4g}",
-        "volumetric strain at the end [%]": f"{100 * float(curve.volumetric_strain[-1]):.3g}",
-        "axial strain reached [%]": f"{100 * float(curve.axial_strain[-1]):.3g}",
-    }
-    return summary
+    where = "at the peak" if found.peak.reached else "there"
+    core = f"core stress ratio {where} [-]"
+    return summary | {core: f"{at_peak(result.curve, found.peak, 'core_ratio'):.4g}"}
 
 
 def _figures(result: Result) -> str:
@@ -253,7 +246,7 @@ def _flat(values: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, str
 
 
 def _glossary() -> str:
-    rows = [[name, f"[{each.unit.replace('1', '-')}]", each.long_name] for name, each in RECORDS.items()]
+    rows = [[name, f"[{each.unit.replace('1', '-')}]", each.long_name] for name, each in QUANTITIES.items()]
     return _table(["in curve.nc and curve.csv", "unit", "meaning"], rows)
 
 

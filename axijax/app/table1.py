@@ -16,8 +16,8 @@ from axijax.core.parallel import parallel
 from axijax.core.sector import Boundary, Sector
 from axijax.mechanics.params import Params
 from axijax.specimen.specimen import fcc_octagon
+from axijax.triaxial.peak import Peak, find_peak
 from axijax.triaxial.progress import Progress, Run
-from axijax.triaxial.records import Peak, find_peak
 from axijax.triaxial.test import TriaxialTest
 
 COLUMNS = (

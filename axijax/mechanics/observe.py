@@ -23,6 +23,8 @@ class Observation(NamedTuple):
     virial_ratio: F H / (1/2 sum F_i rho_i), platen force F against the lateral load F_i at rho_i; no area in it [-].
     core_ratio: vertical over mean horizontal Love-Weber stress of the balls within rho < Rm/2 and the middle 60 %
         of the height [-].
+    radial_stress: s3 at this moment [F/L^2].
+    bottom_force, top_force: axial forces that the whole cylinder puts on the platens, compression positive [F].
     height, membrane_radius: distance of the platens and radius Rm [L].
     volume: of the full cylinder, see `axijax.mechanics.volume` [L^3].
     void_ratio: voids over solids of a random specimen, counted below the skin [-]; NaN for a lattice, where nothing is
@@ -36,6 +38,9 @@ class Observation(NamedTuple):
     stress_ratio: jax.Array
     virial_ratio: jax.Array
     core_ratio: jax.Array
+    radial_stress: jax.Array
+    bottom_force: jax.Array
+    top_force: jax.Array
     height: jax.Array
     membrane_radius: jax.Array
     volume: jax.Array
@@ -53,7 +58,8 @@ def observe(
     forces = all_forces(scene, params, network, load, dt, state)
     place = positions(network, state)
     height = state.platens[1] - state.platens[0]
-    platen_force = forces.platen_forces(network).mean()
+    platen_forces = forces.platen_forces(network)
+    platen_force = platen_forces.mean()
     lateral = lateral_force(params.confining_stress, load, place)
     radius = membrane_radius(membrane, place)
     solids = solid_volume(network.radius, network.weight, network.sector)
@@ -80,6 +86,9 @@ def observe(
         stress_ratio=platen_force / load.section / params.confining_stress,
         virial_ratio=platen_force * height / jnp.maximum(-0.5 * lateral.dot(place).sum(), 1e-300),
         core_ratio=core_stress_ratio(network, forces, normal, place, radius, state.platens),
+        radial_stress=jnp.asarray(params.confining_stress, platen_force.dtype),
+        bottom_force=platen_forces[0] * network.sector.order,
+        top_force=platen_forces[1] * network.sector.order,
         height=height,
         membrane_radius=radius,
         volume=volume,

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from axijax.triaxial.test import TriaxialTest
 
 FORMAT = "axijax shear in progress"
-VERSION = 3
+VERSION = 4
 
 
 def save_progress(path: Path, test: "TriaxialTest", progress: Progress) -> None:

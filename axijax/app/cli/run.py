@@ -159,10 +159,12 @@ class _Live:
 
     def finished(self, run: "Run") -> None:
         """The last word."""
-        from axijax.triaxial.records import find_peak
+        from axijax.triaxial.laboratory import laboratory
 
-        peak = find_peak(run.curve.axial_strain, run.curve.stress_ratio)
-        self.show("finished", f"{peak}; {time.perf_counter() - self.started:.1f} s; result in {self.folder}")
+        found = laboratory(run.curve)
+        for name, value in found.rows().items():
+            self.show("summary", f"{name:62} {value}")
+        self.show("finished", f"{found.peak}; {time.perf_counter() - self.started:.1f} s; result in {self.folder}")
 
 
 class _PlainLines(_Live):
@@ -243,17 +245,11 @@ class _JsonLines(_Live):
         )
 
     def finished(self, run: "Run") -> None:
-        from axijax.triaxial.records import find_peak
+        from axijax.triaxial.laboratory import laboratory
 
-        peak = find_peak(run.curve.axial_strain, run.curve.stress_ratio)
-        self.say(
-            event="finished",
-            result=str(self.folder),
-            peak_stress_ratio=peak.stress_ratio,
-            axial_strain_at_peak=peak.axial_strain,
-            peak_reached=peak.reached,
-            **({} if peak.reached else {"warning": str(peak)}),
-        )
+        found = laboratory(run.curve)
+        warning = {} if found.peak.reached else {"warning": str(found.peak)}
+        self.say(event="finished", result=str(self.folder), **found.values(), **warning)
 
     def __exit__(self, kind, error, trace) -> None:
         if error is not None:
