@@ -129,9 +129,9 @@ def test_a_case_is_a_test_in_python():
 
 
 def test_descriptions_come_from_the_declarations():
-    told = SECTIONS["parameters"][0].model_fields["platen_speed"].description
-    assert told == declared(Params)["platen_speed"].description
-    assert told == "speed of each platen during shear, inward positive [L/T]"
+    told = SECTIONS["parameters"][0].model_fields["confining_stress"].description
+    assert told == declared(Params)["confining_stress"].description
+    assert told == "confining stress s3, compression positive [F/L^2]"
 
 
 # A whole case file as the version before this one wrote it, without its comments; friction alone is not its default.

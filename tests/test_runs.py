@@ -209,6 +209,8 @@ balls = 48
 compaction_friction = 0.3
 [sector]
 order = 3
+[parameters]
+platen_speed = 0.01
 [test]
 axial_strain = 0.004
 tolerance = 1e-3
