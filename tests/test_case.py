@@ -75,7 +75,8 @@ def test_a_new_case_holds_every_field_with_its_unit_default_and_range(kind, tmp_
             names = set(case.scene.takes())
         told = {each for each in names if re.search(rf"^(# )?{each} =", part, re.M)}
         assert told == names
-        assert set(data[name]) == {each for each in names if model.model_fields[each].default is not None}
+        filled = {"platen_speed"} if name == "parameters" and kind != "random" else set()
+        assert set(data[name]) - filled == {each for each in names if model.model_fields[each].default is not None}
         for each in names:
             about = re.search(rf"((?:^#.*\n)+)(# )?{each} =", part, re.M)[1].replace("\n#  ", "")
             field = model.model_fields[each]
