@@ -13,7 +13,7 @@ import pytest
 from small_result import CASE
 
 from axijax.app import checks as checks_module
-from axijax.app import plot, results
+from axijax.app import labels, results
 from axijax.app.case import Case
 from axijax.app.checks import result_checks
 from axijax.app.report import report_page
@@ -80,7 +80,7 @@ def test_an_unfinished_run_has_the_curve_up_to_its_checkpoint(result, copied):
     (copied / "curve.nc").unlink()
     (copied / "run.json").write_text(json.dumps({"status": "interrupted", "message": "Ctrl-C"}))
     unfinished = open_result(copied)
-    assert unfinished.status == "interrupted" and plot.labels([unfinished]) == ["small (interrupted)"]
+    assert unfinished.status == "interrupted" and labels.labels([unfinished]) == ["small (interrupted)"]
     for name in QUANTITIES:
         np.testing.assert_array_equal(unfinished.curve[name].values, result.curve[name].values)
     told = replace(unfinished, path=copied / "curve.nc")  # without the pictures

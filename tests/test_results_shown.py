@@ -18,7 +18,7 @@ from small_result import CASE
 from typer.testing import CliRunner
 
 from axijax.app import figures as pictures
-from axijax.app import paraview, plot
+from axijax.app import labels, paraview, plot
 from axijax.app.case import Case
 from axijax.app.checks import result_checks
 from axijax.app.report import report_page
@@ -195,7 +195,7 @@ def test_runs_are_named_by_what_was_chosen_not_by_what_follows(result):
     """Another contact law has other parameters, which its name says already."""
     other = replace(result)
     other.__dict__["case"] = Case(**CASE | {"scene": {"contact_law": "hertz"}})
-    assert plot.labels([result, other]) == ["contact law linear", "contact law hertz"]
+    assert labels.labels([result, other]) == ["contact law linear", "contact law hertz"]
 
 
 def test_force_network_is_as_wide_as_the_forces(moment):

@@ -68,6 +68,7 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
     ),
 }  # fmt: skip
 
+
 def _section(name: str, source: type) -> Any:
     """A section with the settings that a dataclass declares: names, types, defaults, meanings and bounds."""
     hints = get_type_hints(source)

@@ -20,7 +20,8 @@ from matplotlib.figure import Figure
 from axijax.app import figures as pictures
 from axijax.app.case import SECTIONS, to_toml
 from axijax.app.checks import result_checks
-from axijax.app.plot import Measured, case_of, curve_figure, labels, thornton_ratio
+from axijax.app.labels import Measured, case_of, labels, thornton_ratio
+from axijax.app.plot import CURVES, curve_figure
 from axijax.app.results import Result
 from axijax.app.snapshot import snapshot
 from axijax.core.files import draw_afterwards, write_whole
@@ -38,6 +39,13 @@ CAPTIONS = {
     "is shown four times.",
     "membrane-cells": "The membrane's cells on the unfolded cylinder: each outer ball carries the confining stress on "
     "its cell.",
+}
+
+SOIL = {
+    "friction-dilatancy": "Mobilised friction angle, sin(phi) = (R - 1)/(R + 1), and dilatancy rate.",
+    "stress-dilatancy": "Stress ratio against dilatancy, and Rowe's line R = K D with K = tan²(45° + phi/2).",
+    "q-p": "Deviatoric against mean stress.",
+    "mohr": "Mohr's circles at the largest stress ratio, and their envelope.",
 }
 
 VERDICTS = {
@@ -109,6 +117,8 @@ def report_page(results: Sequence[Result], data: Measured | None = None, energy:
     else:
         body.append(_figures(results[0]))
     body += ["<h2>Curves</h2>", _figure(lambda: curve_figure(results, data), _curves_caption(results, data), "curves")]
+    drawn = {kind: _figure(partial(CURVES[kind], results, data), caption, kind) for kind, caption in SOIL.items()}
+    body.append(f'<div class="beside">{"".join(drawn.values())}</div>')
     for result, name in zip(results, names, strict=True):
         head = (lambda text, name=name: f"<h2>{escape(name)}: {text}</h2>") if several else "<h2>{}</h2>".format
         body += [head("Checks" if not several else "checks"), _checks(result, energy)]
@@ -137,7 +147,7 @@ def _warning(result: Result, name: str) -> str:
 def _summary(result: Result) -> dict[str, str]:
     """What a reader looks for first, by name."""
     found, case = laboratory(result.curve), case_of(result)
-    summary = found.rows()
+    summary = found.rows(case.test.axial_strain if case is not None and result.status == "finished" else None)
     if case is not None and thornton_ratio(case) is not None:
         summary["Thornton (1979), rigid balls that do not rotate [-]"] = f"{thornton_ratio(case):.4g}"
     where = "at the peak" if found.peak.reached else "there"

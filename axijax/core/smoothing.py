@@ -29,7 +29,8 @@ COPIES, TRIALS = 60, 8  # noisy copies of a curve, and lengths of correlation th
 
 
 class Maximum(NamedTuple):
-    """Of a smooth curve: where, how high, and the standard error of that."""
+    """Of a smooth curve: where, how high, and the standard error of that; NaN of so few records that none is left over
+    to show their scatter."""
 
     place: float
     value: float
@@ -108,15 +109,22 @@ class Smooth:
         curve = self.curve(recorded)
         place, value = (float(each) for each in _highest(curve))
         smooth = curve(self.places)
-        _, tops = _highest(self.curve(smooth[:, None] + self._noise_about(place, recorded - smooth, seed)))
+        noise = self._noise_about(place, recorded - smooth, seed)
+        if np.isnan(noise).any():
+            return Maximum(place, value, float("nan"))
+        _, tops = _highest(self.curve(smooth[:, None] + noise))
         return Maximum(place, 2 * value - float(tops.mean()), _rms(tops - value))
 
     def at(self, place: float, recorded, seed: int = 0) -> Moment:
         """The smooth curve at a place. seed: of the noise with which the errors are found."""
         recorded = np.asarray(recorded, float)
         curve = self.curve(recorded)
-        noise = self.curve(self._noise_about(place, recorded - curve(self.places), seed))
-        return Moment(float(curve(place)), float(curve(place, 1)), _rms(noise(place)), _rms(noise(place, 1)))
+        noise = self._noise_about(place, recorded - curve(self.places), seed)
+        found = float(curve(place)), float(curve(place, 1))
+        if np.isnan(noise).any():
+            return Moment(*found, float("nan"), float("nan"))
+        again = self.curve(noise)
+        return Moment(*found, _rms(again(place)), _rms(again(place, 1)))
 
     def _noise_about(self, place: float, residual: np.ndarray, seed: int) -> np.ndarray:
         """Copies (T, COPIES) of noise whose residuals, once it is smoothed, are on average as large and as correlated
@@ -136,7 +144,8 @@ class Smooth:
         single, blocks = (float(each[0]) for each in seen(residual[:, None]))
         if single <= 0:
             return np.zeros((far.size, 1))
-        lengths = np.geomspace(0.2 * np.median(np.diff(self.places[pool])), block, TRIALS)
+        spacing = np.median(np.diff(self.places)[np.minimum(pool, far.size - 2)])
+        lengths = np.geomspace(0.2 * spacing, block, TRIALS)
         kept = np.exp(-np.diff(far)[:, None] / lengths)
         fresh = np.random.default_rng(seed).standard_normal((far.size, 1, COPIES))
         noise = np.empty((far.size, TRIALS, COPIES))
@@ -146,6 +155,8 @@ class Smooth:
         flat = noise.reshape(far.size, -1)
         left = flat - self.curve(flat)(self.places)
         singles, blocked = (each.reshape(TRIALS, COPIES).mean(1) for each in seen(left))
+        if singles.max() < 1e-9:  # so few records that the curve passes through them all, and shows no scatter
+            return np.full((far.size, 1), np.nan)
         best = int(np.argmin(np.abs(blocked / singles - blocks / single)))
         return noise[:, best] * np.sqrt(single / singles[best])
 

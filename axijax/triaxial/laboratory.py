@@ -56,8 +56,9 @@ class Laboratory(NamedTuple):
     void_ratio_start: float
     void_ratio: float
 
-    def rows(self) -> dict[str, str]:
-        """Name with unit, and value, of what the test shows, for people."""
+    def rows(self, asked: float | None = None) -> dict[str, str]:
+        """Name with unit, and value, of what the test shows, for people. asked: the axial strain that a finished test
+        was to reach; no record lies past it, so that the last is up to `record_every` steps before it."""
         peak, at = self.peak, "at the peak" if self.peak.reached else "there"
         name = "peak stress ratio s1/s3 [-]"
         if not peak.reached:
@@ -77,7 +78,9 @@ class Laboratory(NamedTuple):
             rows[f"dilatancy rate {where} [-]"] = f"{self.large_strain_dilatancy:.2f}"
         if np.isfinite(self.secant_modulus):
             rows["secant modulus E50 [F/L²]"] = f"{self.secant_modulus:.3g}"
-        rows["axial strain reached [%]"] = f"{100 * self.axial_strain:.3g}"
+        rows["axial strain reached [%]"] = f"{100 * self.axial_strain:.4g}"
+        if asked is not None and rows["axial strain reached [%]"] != f"{100 * asked:.4g}":
+            rows["axial strain reached [%]"] += f", the last record before {100 * asked:.4g}"
         rows["volumetric strain at the end [%]"] = f"{100 * self.volumetric_strain:.3g}"
         if np.isfinite(self.void_ratio_start):
             rows["void ratio, start and end [-]"] = f"{self.void_ratio_start:.4f}, {self.void_ratio:.4f}"

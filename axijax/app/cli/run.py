@@ -114,6 +114,7 @@ class _Live:
         self.folder = folder
         self.started = time.perf_counter()
         self.marks: list[tuple[float, float, int]] = []  # time, strain, steps
+        self.asked: float | None = None  # axial strain
 
     def __enter__(self) -> "_Live":
         return self
@@ -123,6 +124,7 @@ class _Live:
 
     def tell(self, test: "TriaxialTest", now: "Progress | None") -> None:
         """Take note of where a run stands, and show it."""
+        self.asked = test.axial_strain
         if now is None:
             steps = test.prepared.numerics.records * test.record_every
             return self.show("preparing", f"{len(test.cut)} balls, {steps} steps")
@@ -162,7 +164,7 @@ class _Live:
         from axijax.triaxial.laboratory import laboratory
 
         found = laboratory(run.curve)
-        for name, value in found.rows().items():
+        for name, value in found.rows(self.asked).items():
             self.show("summary", f"{name:62} {value}")
         self.show("finished", f"{found.peak}; {time.perf_counter() - self.started:.1f} s; result in {self.folder}")
 
