@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
 from axijax import theory
 from axijax.app.labels import Measured, case_of, labels, line_of, plain
@@ -66,7 +67,11 @@ def void_ratio_pressure(results: Sequence[Result], data: Measured | None = None)
         axes.plot(p, result.curve.void_ratio, label=name, **line)
         axes.plot(p[0], result.curve.void_ratio[0], "o", color=line["color"])
     axes.plot([], [], "o", color="0.3", label="start")
-    axes.set(xscale="log", xlabel=f"mean stress p = (s1 + 2 s3)/3 {STRESS}", ylabel="void ratio e [-]")
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter(LogFormatterSciNotation(minor_thresholds=(np.inf, np.inf)))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set(xlabel=f"mean stress p = (s1 + 2 s3)/3 {STRESS}", ylabel="void ratio e [-]")
     return _finished(figure)
 
 
@@ -110,8 +115,8 @@ def stress_dilatancy(results: Sequence[Result], data: Measured | None = None) ->
     """Stress ratio against D = 1 - d eps_v/d eps_1, with Rowe's line R = K D: for the large-strain friction angle of
     each test that shows one, and for the friction between the balls."""
     figure, axes = _figure()
-    far = 1.0
-    frictions: dict[str, float] = {}
+    far = top = 1.0
+    frictions: dict[float, None] = {}
     for number, (result, name) in enumerate(_named(results)):
         curve, line, case = result.curve, line_of(number), case_of(result)
         found = laboratory(curve)
@@ -119,24 +124,27 @@ def stress_dilatancy(results: Sequence[Result], data: Measured | None = None) ->
         shown = np.isfinite(rate) & (rate > -1)
         axes.plot(1 + rate[shown], ratio[shown], label=name, **line)
         far = max(far, 1 + float(rate[shown].max(initial=0.0)))
+        top = max(top, float(ratio[shown].max(initial=1.0)))
+        friction = case.parameters.friction if case is not None and case.scene.friction else 0.0
+        if case is not None and case.specimen.kind in ("octagon", "fcc"):
+            factor = float(theory.rowe_stress_dilatancy(np.pi / 4, friction))
+            _rowe(axes, factor, f"Rowe, FCC array, f = {friction:g}", line["color"], (0, (6, 3)))
+            continue
         if np.isfinite(found.large_strain):
-            angle = np.deg2rad(found.large_strain_angle.value)
-            told = f"Rowe, phi = {np.rad2deg(angle):.1f}° at large strain"
-            _rowe(axes, float(theory.stress_ratio_of(angle)), told, line["color"], "--")
-        if case is not None and case.scene.friction:
-            frictions[f"f = {case.parameters.friction:g}"] = case.parameters.friction
-    for told, friction in frictions.items() if len(frictions) == 1 else ():
-        angle = np.arctan(friction)
-        _rowe(axes, float(theory.stress_ratio_of(angle)), f"Rowe, {told} between balls", "0.35", ":")
-        array = float(theory.rowe_stress_dilatancy(np.pi / 4, friction))
-        if all((case := case_of(each)) is not None and case.specimen.kind in ("octagon", "fcc") for each in results):
-            _rowe(axes, array, f"Rowe, FCC array, {told}", "0.35", "-.")
+            angle = found.large_strain_angle.value
+            factor = float(theory.stress_ratio_of(float(np.deg2rad(angle))))
+            _rowe(axes, factor, f"Rowe, phi = {angle:.1f}° at large strain", line["color"], (0, (6, 3)))
+        if friction:
+            frictions[friction] = None
+    for friction in frictions if len(frictions) == 1 else ():
+        factor = float(theory.stress_ratio_of(float(np.arctan(friction))))
+        _rowe(axes, factor, f"Rowe, f = {friction:g} between balls", "0.35", ":")
     if data is not None and data.volumetric_strain is not None:
         rate = dilatancy_rates(data.axial_strain, data.volumetric_strain)
         axes.plot(1 + rate, data.stress_ratio, label=_measured(data), **POINTS)
-    top = axes.dataLim.y1
-    axes.set(xlim=(0, 1.1 * far), ylim=(0.9, None), xlabel="dilatancy D = 1 - d eps_v/d eps_1 [-]")
-    axes.set(ylabel="stress ratio R = s1/s3 [-]", ylim=(0.9, 1.02 * top))
+        top = max(top, float(np.max(data.stress_ratio)))
+    axes.set(xlim=(0, 1.1 * far), ylim=(0.95, 1.08 * top), xlabel="dilatancy D = 1 - d eps_v/d eps_1 [-]")
+    axes.set(ylabel="stress ratio R = s1/s3 [-]")
     return _finished(figure)
 
 
@@ -222,8 +230,8 @@ def _draw(axes, curve, values, name: str, line) -> None:
     axes.plot(strain, _smooth(curve, values), label=name, lw=1.8, **line)
 
 
-def _rowe(axes, factor: float, label: str, colour: str, style: str) -> None:
-    axes.plot([0, 10], [0, 10 * factor], color=colour, lw=1, ls=style, label=label, scalex=False, scaley=False)
+def _rowe(axes, factor: float, label: str, colour: str, style) -> None:
+    axes.plot([0, 10], [0, 10 * factor], color=colour, lw=1, ls=style, label=label)
 
 
 def _material(result: Result, number: int) -> str:

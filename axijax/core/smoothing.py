@@ -21,7 +21,7 @@ new maxima are off in the mean, the first one is corrected. On curves of known m
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+from scipy.interpolate import CubicSpline
 
 WINDOW, LEAST = 0.4, 7
 KNOTS = 8  # of the smooth curve, in half a window
@@ -90,10 +90,16 @@ class Smooth:
         value[inside], slope[inside] = solved[0], solved[1] / reach
         return value, slope
 
-    def curve(self, recorded) -> CubicHermiteSpline:
-        """The smooth curve through T values, which can be called, or (T, n) for several."""
-        recorded = np.asarray(recorded, float)
-        return CubicHermiteSpline(self.places[self.knots], self._to_value @ recorded, self._to_slope @ recorded)
+    def curve(self, recorded) -> CubicSpline:
+        """The smooth curve through T values, which can be called, or (T, n) for several: a spline through its knots."""
+        return CubicSpline(self.places[self.knots], self._to_value @ np.asarray(recorded, float))
+
+    def slope_at(self, place, recorded) -> np.ndarray:
+        """Smooth slopes of T values at one or several places, linear between knots; (T, n) gives (n,) at one place."""
+        slopes = self._to_slope @ np.asarray(recorded, float)
+        if slopes.ndim == 1:
+            return np.interp(place, self.places[self.knots], slopes)
+        return np.array([np.interp(place, self.places[self.knots], each) for each in slopes.T])
 
     def values(self, recorded) -> np.ndarray:
         """Smooth values of what was recorded, (T,)."""
@@ -101,7 +107,7 @@ class Smooth:
 
     def slopes(self, recorded) -> np.ndarray:
         """Smooth slopes of what was recorded against the places, (T,)."""
-        return self.curve(recorded)(self.places, 1)
+        return self.slope_at(self.places, recorded)
 
     def maximum(self, recorded, seed: int = 0) -> Maximum:
         """The largest value of the smooth curve. seed: of the noise with which its error is found."""
@@ -120,11 +126,10 @@ class Smooth:
         recorded = np.asarray(recorded, float)
         curve = self.curve(recorded)
         noise = self._noise_about(place, recorded - curve(self.places), seed)
-        found = float(curve(place)), float(curve(place, 1))
+        found = float(curve(place)), float(self.slope_at(place, recorded))
         if np.isnan(noise).any():
             return Moment(*found, float("nan"), float("nan"))
-        again = self.curve(noise)
-        return Moment(*found, _rms(again(place)), _rms(again(place, 1)))
+        return Moment(*found, _rms(self.curve(noise)(place)), _rms(self.slope_at(place, noise)))
 
     def _noise_about(self, place: float, residual: np.ndarray, seed: int) -> np.ndarray:
         """Copies (T, COPIES) of noise whose residuals, once it is smoothed, are on average as large and as correlated
@@ -165,7 +170,7 @@ def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _highest(curve: CubicHermiteSpline) -> tuple[np.ndarray, np.ndarray]:
+def _highest(curve: CubicSpline) -> tuple[np.ndarray, np.ndarray]:
     """Place and value of the largest maximum of a spline, or of each of several."""
     cubic, width = curve.c, np.diff(curve.x).reshape(-1, *[1] * (curve.c.ndim - 2))
     first, second, third = 3 * cubic[0], 2 * cubic[1], cubic[2]  # of the slope
