@@ -23,9 +23,9 @@ from axijax.core.vector import Vector
 from axijax.mechanics.dynamics import all_forces, initial_state
 from axijax.mechanics.membrane import membrane_load
 from axijax.mechanics.observe import observe
-from axijax.triaxial.records import QUANTITIES, Confinement, no_records
+from axijax.triaxial.records import Confinement, no_records, quantities_of
 from axijax.triaxial.test import Progress
-from calibrate import MeasuredCurve
+from calibrate import read_measured
 
 pytest_plugins = ["small_result"]
 
@@ -68,7 +68,7 @@ def test_curve_comes_back_from_every_file(result, folder):
     table = np.loadtxt(lines[2:], delimiter=",").T
     for head, column in zip(heads, table, strict=True):
         np.testing.assert_array_equal(curve[head.split(" ")[0]].values, column)
-    measured = MeasuredCurve.from_csv(folder / "curve.csv")
+    measured = read_measured(folder / "curve.csv")
     np.testing.assert_array_equal(measured.stress_ratio, curve.stress_ratio.values)
     np.testing.assert_array_equal(measured.volumetric_strain, curve.volumetric_strain.values)
     seen = result.progress.records
@@ -81,7 +81,7 @@ def test_an_unfinished_run_has_the_curve_up_to_its_checkpoint(result, copied):
     (copied / "run.json").write_text(json.dumps({"status": "interrupted", "message": "Ctrl-C"}))
     unfinished = open_result(copied)
     assert unfinished.status == "interrupted" and labels.labels([unfinished]) == ["small (interrupted)"]
-    for name in QUANTITIES:
+    for name in quantities_of(result.curve):
         np.testing.assert_array_equal(unfinished.curve[name].values, result.curve[name].values)
     told = replace(unfinished, path=copied / "curve.nc")  # without the pictures
     told.__dict__["case"] = result.case

@@ -16,7 +16,7 @@ from axijax.app.results import curves_dataset
 from axijax.app.soil_figures import KINDS
 from axijax.triaxial.laboratory import laboratory
 from axijax.triaxial.progress import Run, curve_of
-from axijax.triaxial.records import DERIVED, QUANTITIES, RECORDS, Confinement, Curve
+from axijax.triaxial.records import DERIVED, QUANTITIES, RECORDS, Confinement, Curve, quantities_of
 
 pytest_plugins = ["small_result"]
 
@@ -85,24 +85,26 @@ def test_envelope_touches_its_circles():
 def test_every_quantity_is_declared_once_and_written(result, folder):
     curve = result.curve
     assert set(QUANTITIES) == set(RECORDS) | set(DERIVED) and not set(RECORDS) & set(DERIVED)
-    for name, about in QUANTITIES.items():
+    held = quantities_of(curve)
+    assert "path_length" not in held and set(DERIVED) < set(held)
+    for name, about in held.items():
         assert curve[name].attrs == {"long_name": about.long_name, "units": about.unit}
     heads = (folder / "curve.csv").read_text().splitlines()[1].split(",")
-    assert heads == [f"{name} [{about.unit.replace('1', '-')}]" for name, about in QUANTITIES.items()]
+    assert heads == [f"{name} [{about.unit.replace('1', '-')}]" for name, about in held.items()]
     page = report_page([result])
-    assert all(f"<td>{name}</td>" in page for name in QUANTITIES)
+    assert all(f"<td>{name}</td>" in page for name in held)
 
 
 def test_stresses_are_those_of_the_forces(result, moment):
     """s1 from the last state's platen forces and membrane radius; s3 from the case; p and q by their definitions."""
     records = result.progress.records
-    np.testing.assert_array_equal(records.radial_stress, 5e4)
+    np.testing.assert_array_equal(records.lateral_stress, 5e4)
     section = np.pi * records.membrane_radius**2
     mean = (records.bottom_force + records.top_force) / 2
     np.testing.assert_allclose(mean / section, records.stress_ratio * 5e4, rtol=1e-3)  # the section is the cells'
     whole = result.test.sector.order
     curve = result.curve
-    s1, s3 = curve.axial_stress.values, curve.radial_stress.values
+    s1, s3 = curve.axial_stress.values, curve.lateral_stress.values
     np.testing.assert_allclose(s1, curve.stress_ratio.values * 5e4, rtol=1e-14)
     np.testing.assert_allclose(3 * curve.mean_stress.values, s1 + 2 * s3, rtol=1e-14)
     np.testing.assert_allclose(curve.deviatoric_stress.values, s1 - s3, rtol=1e-14, atol=1e-9)
@@ -118,8 +120,8 @@ def test_stresses_are_those_of_the_forces(result, moment):
 def made(strain, ratio, volume, s3=1e5, voids=0.7):
     """A curve of these values."""
     one = np.ones_like(strain)
-    others = {name: one for name in RECORDS}
-    given = {"axial_strain": strain, "stress_ratio": ratio, "volumetric_strain": volume, "radial_stress": s3 * one}
+    others = {name: one for name, about in RECORDS.items() if not about.of}
+    given = {"axial_strain": strain, "stress_ratio": ratio, "volumetric_strain": volume, "lateral_stress": s3 * one}
     zero = np.zeros(())
     given["void_ratio"] = voids * one + 0.5 * strain
     return Curve(**others | given, confinement=Confinement(zero, zero, zero), status=zero)

@@ -47,7 +47,7 @@ def labels(results: Sequence[Result]) -> list[str]:
         flat = [
             {
                 f"{section}.{field}": value
-                for section, fields in case.model_dump().items()
+                for section, fields in case.sections().items()
                 for field, value in fields.items()
             }
             for case in cases

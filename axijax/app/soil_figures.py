@@ -37,7 +37,7 @@ def q_strain(results: Sequence[Result], data: Measured | None = None) -> Figure:
         found = laboratory(curve)
         _draw(axes, curve, curve.deviatoric_stress, name, line)
         if found.peak.reached:
-            s3 = float(curve.radial_stress[found.peak.record])
+            s3 = float(curve.lateral_stress[found.peak.record])
             q, error = (found.peak.stress_ratio - 1) * s3, (found.peak.error or 0.0) * s3
             axes.errorbar(100 * found.peak.axial_strain, q, error or None, fmt="o", color=line["color"], capsize=3)
     axes.plot([], [], "o", color="0.3", label="peak, with its error where it is smoothed")
@@ -155,7 +155,7 @@ def mohr(results: Sequence[Result], data: Measured | None = None) -> Figure:
     ring = np.linspace(0, np.pi, 181)
     for number, (result, name) in enumerate(_named(results)):
         peak = laboratory(result.curve).peak
-        s3 = float(result.curve.radial_stress[peak.record])
+        s3 = float(result.curve.lateral_stress[peak.record])
         s1, line = peak.stress_ratio * s3, line_of(number)
         which = "" if peak.reached else ", no peak yet"
         middle, radius = (s1 + s3) / 2, (s1 - s3) / 2
@@ -241,7 +241,7 @@ def _material(result: Result, number: int) -> str:
         return str(number)
     kept = {
         section: {field: value for field, value in fields.items() if field not in (LOADING.get(section) or ())}
-        for section, fields in case.model_dump().items()
+        for section, fields in case.sections().items()
         if LOADING.get(section, ()) is not None
     }
     return repr(kept)

@@ -103,7 +103,7 @@ def laboratory(curve: Any) -> Laboratory:
     """Of a `Curve`, or of a dataset of one (T values each)."""
     peak = peak_of(curve)
     nan = float("nan")
-    names = "axial_strain", "stress_ratio", "radial_stress", "volumetric_strain", "void_ratio"
+    names = "axial_strain", "stress_ratio", "lateral_stress", "volumetric_strain", "void_ratio"
     strain, ratio, s3, volume, voids = (np.asarray(getattr(curve, name), float) for name in names)
     used = advancing(strain) & np.isfinite(ratio) & np.isfinite(volume)
     nothing = Moment(nan, nan, nan, nan)

@@ -121,3 +121,30 @@ def at_peak(curve: Any, peak: Peak, name: str) -> float:
         return float(values[peak.record])
     used = advancing(strain) & np.isfinite(values)
     return float(Smooth(strain[used]).curve(values[used])(peak.axial_strain)) if used.sum() >= 3 else float("nan")
+
+
+FLAT = 0.003  # share of its largest value within which a curve's top counts as flat
+
+
+def flat_top(axial_strain, stress_ratio) -> tuple[float, float]:
+    """Strains between which the stress ratio stays within 0.3 % of its largest value, around that value's (T values
+    each) [-]; linear between records. A side on which the curve ends before it has fallen so far is NaN, so that no end
+    of a curve is taken for the end of its top.
+    """
+    strain, ratio = np.asarray(axial_strain, float), np.asarray(stress_ratio, float)
+    sound = np.isfinite(strain) & np.isfinite(ratio)
+    strain, ratio = strain[sound], ratio[sound]
+    if not ratio.size:
+        return float("nan"), float("nan")
+    top, level = int(ratio.argmax()), (1 - FLAT) * float(ratio.max())
+
+    def crossing(outward: np.ndarray) -> float:
+        """Where the curve, followed away from its top, first falls below the level."""
+        below = np.flatnonzero(ratio[outward] < level)
+        if not below.size:
+            return float("nan")
+        inside, outside = outward[below[0] - 1], outward[below[0]]
+        share = (ratio[inside] - level) / (ratio[inside] - ratio[outside])
+        return float(strain[inside] + share * (strain[outside] - strain[inside]))
+
+    return crossing(np.arange(top, -1, -1)), crossing(np.arange(top, ratio.size))

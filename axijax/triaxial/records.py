@@ -12,6 +12,7 @@ from axijax import theory
 from axijax.core.smoothing import Smooth, advancing
 from axijax.core.status import UNSTABLE, described
 from axijax.mechanics.observe import Observation
+from axijax.mechanics.params import Params
 
 CHATTER = 1e-3  # `observe.chatter` of a sound run is below zero; above this, contacts chatter
 
@@ -38,10 +39,15 @@ class Confinement(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """What is said of a recorded quantity: long name, and unit as NetCDF writes it, "1" for none."""
+    """What is said of a recorded quantity: long name, unit as NetCDF writes it, "1" for none, and what a test must have
+    for it to be recorded, "" for nothing."""
 
     long_name: str
     unit: str
+    of: str = ""
+
+
+STAGES, ROUGH = "stages", "rough platens"
 
 
 class Derived(property):
@@ -62,10 +68,12 @@ def derived(long_name: str, unit: str = "1") -> Any:
     return declare
 
 
-def recorded(long_name: str, unit: str = "1") -> Any:
+def recorded(long_name: str, unit: str = "1", of: str = "", **default: Any) -> Any:
     """A field of `Curve` with one value a record. Files, reports and batches read its declaration from here; a quantity
-    of the same name in `observe.Observation` is taken over."""
-    return field(metadata={"record": Recorded(long_name, unit)})
+    of the same name in `observe.Observation` is taken over. of: what a test must have for it, "" for nothing."""
+    if of:
+        default["default"] = None
+    return field(metadata={"record": Recorded(long_name, unit, of)}, **default)
 
 
 @jax.tree_util.register_dataclass
@@ -92,23 +100,34 @@ class Curve:
     sliding_fraction: jax.Array = recorded("share of the contacts at the Coulomb limit")
     chatter: jax.Array = recorded("motion of contacts to and fro from step to step, against what their springs hold")
     membrane_radius: jax.Array = recorded("radius Rm through the middle of the membrane zone", "L")
-    radial_stress: jax.Array = recorded("radial stress s3, that of the membrane, compression positive", "F/L^2")
+    lateral_stress: jax.Array = recorded("effective lateral stress s3, compression positive", "F L-2")
     bottom_force: jax.Array = recorded("axial force on the bottom platen, of the whole cylinder", "F")
     top_force: jax.Array = recorded("axial force on the top platen, of the whole cylinder", "F")
+    pore_pressure: jax.Array | None = recorded("pore pressure, or what would keep the volume", "F L-2", of=STAGES)
+    path_length: jax.Array | None = recorded("axial strain travelled, to and fro", of=STAGES)
+    servo_error: jax.Array | None = recorded("servo error as a stress, over the confining stress", of=STAGES)
+    stage: jax.Array | None = recorded("number of the stage", of=STAGES)
+    end_restraint: jax.Array | None = recorded("friction on both platens towards the axis, over force", of=ROUGH)
+    bottom_shear_x: jax.Array | None = recorded("force of the whole cylinder on the bottom platen", "F", of=ROUGH)
+    bottom_shear_y: jax.Array | None = recorded("force of the whole cylinder on the bottom platen", "F", of=ROUGH)
+    bottom_torque: jax.Array | None = recorded("its moment on the bottom platen about the axis", "F L", of=ROUGH)
+    top_shear_x: jax.Array | None = recorded("force of the whole cylinder on the top platen", "F", of=ROUGH)
+    top_shear_y: jax.Array | None = recorded("force of the whole cylinder on the top platen", "F", of=ROUGH)
+    top_torque: jax.Array | None = recorded("its moment on the top platen about the axis", "F L", of=ROUGH)
     confinement: Confinement
     status: jax.Array
 
-    @derived("axial stress s1 = R s3, compression positive", "F/L^2")
+    @derived("axial stress s1 = R s3, compression positive", "F L-2")
     def axial_stress(self):
-        return self.stress_ratio * self.radial_stress
+        return self.stress_ratio * self.lateral_stress
 
-    @derived("mean stress p = (s1 + 2 s3)/3", "F/L^2")
+    @derived("mean stress p = (s1 + 2 s3)/3", "F L-2")
     def mean_stress(self):
-        return theory.mean_stress(self.axial_stress, self.radial_stress)
+        return theory.mean_stress(self.axial_stress, self.lateral_stress)
 
-    @derived("deviatoric stress q = s1 - s3", "F/L^2")
+    @derived("deviatoric stress q = s1 - s3", "F L-2")
     def deviatoric_stress(self):
-        return theory.deviatoric_stress(self.axial_stress, self.radial_stress)
+        return theory.deviatoric_stress(self.axial_stress, self.lateral_stress)
 
     @derived("mobilised friction angle, sin(phi) = (R - 1)/(R + 1)", "degree")
     def friction_angle(self):
@@ -133,6 +152,16 @@ DERIVED: dict[str, Recorded] = {n: each.record for n, each in vars(Curve).items(
 QUANTITIES = RECORDS | DERIVED
 
 
+def records_of(curve: Any) -> dict[str, Recorded]:
+    """The records that a curve has, and what is said of each; it may also be the dataset of a file."""
+    return {n: about for n, about in RECORDS.items() if not about.of or getattr(curve, n, None) is not None}
+
+
+def quantities_of(curve: Any) -> dict[str, Recorded]:
+    """The same with what is derived from them."""
+    return records_of(curve) | DERIVED
+
+
 def dilatancy_rates(axial_strain, volumetric_strain) -> np.ndarray:
     """-d(volumetric strain)/d(axial strain), smoothed as `axijax.core.smoothing` does, (T,) on the host; NaN where the
     axial strain does not lie beyond all before it, and where fewer than three records do."""
@@ -151,10 +180,13 @@ def raise_for_status(status, curve: Curve | None = None) -> None:
         raise SimulationError(f"the test went wrong: {described(bits)}.", curve)
 
 
-def no_records() -> Observation:
-    """An observation of no moment at all."""
-    empty: Any = np.zeros(0)
-    return Observation(*[empty] * len(Observation._fields))
+def no_records(params: Params | None = None, staged: bool = False) -> Observation:
+    """An observation of no moment at all, with what a test with these parameters records, in stages or not."""
+    rough = params is not None and params.material.platen_friction is not None
+    there = {"", STAGES if staged else "", ROUGH if rough else ""}
+    absent = {name for name, about in RECORDS.items() if about.of not in there}
+    fields_of: dict[str, Any] = {name: None if name in absent else np.zeros(0) for name in Observation._fields}
+    return Observation(**fields_of)
 
 
 def warn_of_chatter(curve: Curve) -> None:
