@@ -292,7 +292,7 @@ def test_report_stands_alone_and_tells_all(result):
     page = Page(text)
     assert not page.wrong and not page.open and not page.fetched
     assert "<script" not in text and "http" not in text and "@import" not in text and "url(" not in text
-    assert page.images == 6
+    assert page.images == 10
     for values in result.case.model_dump().values():
         for name, value in values.items():
             words = {"None": "left out", "True": "true", "False": "false"}
