@@ -27,7 +27,17 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_h
 
 from pydantic import BaseModel, Field, ValidationError, create_model, model_serializer, model_validator
 
-from axijax.app.case_parts import ParametersCase, SceneCase, Section, bounds, build_params, check_used
+from axijax.app.case_parts import (
+    LEFT_OUT,
+    SLOW,
+    ParametersCase,
+    SceneCase,
+    Section,
+    bounds,
+    build_params,
+    check_used,
+    described,
+)
 from axijax.app.case_reading import nearest, read_toml, sentence
 from axijax.app.case_stages import HELP, StageCase
 from axijax.core.quantity import settings
@@ -63,12 +73,6 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
     "file": (("path",), ()),  # what fits depends on the balls
 }  # fmt: skip
 
-# Fields that a file may leave to the specimen.
-LEFT_OUT = {
-    "confining_friction": "left out: none, but for a random specimen that of its compaction, and for a packing from a "
-    "file that of the test"
-}
-
 
 def _section(name: str, source: type) -> Any:
     """A section with the settings that a dataclass declares: names, types, defaults, meanings and bounds."""
@@ -76,12 +80,11 @@ def _section(name: str, source: type) -> Any:
     made: dict[str, Any] = {}
     for each, about in settings(source).items():
         kind, default = hints[each], source.__dataclass_fields__[each].default  # type: ignore[attr-defined]
-        told: dict[str, Any] = {"description": about.description}
+        told: dict[str, Any] = {"description": described(each, about)}
         if {int, float} & {kind, *get_args(kind)}:  # words and switches have no bounds
             told |= bounds(about)
         if each in LEFT_OUT:
             kind, default = kind | None, None
-            told["description"] += f"; {LEFT_OUT[each]}"
         made[each] = (kind, Field(default, **told))
     return create_model(name, __base__=Section, __doc__=inspect.getdoc(source), **made)
 
@@ -196,6 +199,8 @@ class Case(Section):
     @model_validator(mode="after")
     def _used(self) -> "Case":
         check_used(self.scene, self.parameters)
+        if self.specimen.kind != "random" and self.parameters.platen_speed is None:
+            self.parameters = self.parameters.model_copy(update={"platen_speed": float(Params().platen_speed)})
         if self.stage and "axial_strain" in self.test.model_fields_set:
             raise ValueError(
                 "test.axial_strain would do nothing beside [[stage]]: leave it out, and give the stages where they end"
@@ -226,6 +231,8 @@ class Case(Section):
         if specimen is None:
             case, specimen, _ = self.made()
             return case.build(specimen)
+        if self.parameters.platen_speed is None:
+            return self._slow(specimen).build(specimen)
         options = self.test.model_dump()
         options["confining_friction"] = options["confining_friction"] or 0.0
         return TriaxialTest(
@@ -258,7 +265,17 @@ class Case(Section):
             self.specimen.model_dump_json(), self.sector.model_dump_json(), tuple(material.items())
         )
         case = self.with_test(confining_friction=report.compaction_friction if friction is None else friction)
-        return case, specimen, report
+        return case._slow(specimen), specimen, report
+
+    def _slow(self, specimen: Specimen) -> "Case":
+        """The same case with the speed that it leaves to a random specimen."""
+        if self.parameters.platen_speed is not None:
+            return self
+        from axijax.triaxial.random_specimen import platen_speed
+
+        speed = platen_speed(SLOW, specimen, build_params(self.scene, self.parameters))
+        changed = {"platen_speed": float(f"{speed:.4g}")}
+        return self.model_copy(update={"parameters": self.parameters.model_copy(update=changed)})
 
     def with_test(self, **changes) -> "Case":
         """The same case with other fields in its section [test]."""
