@@ -5,7 +5,7 @@ whether it touches or not. So the steps between two records see only the pairs w
 time. Every ball is allowed so much displacement (`allowances`), a pair is kept where its gap is smaller than what its
 two balls are allowed together, and as long as no ball has moved by more than it was allowed (`Tight.holds`), no contact
 is missing: images move as far as their balls do. A pair that does not touch has no force and an unstrained spring, and
-contacts keep their order, so that a step gives the same result to the last bit whichever of the two lists it sees.
+contacts keep their order, so that a step gives the same result to rounding whichever of the two lists it sees.
 
 Contacts and slots of the tight list have a fixed room; where that does not suffice it says so (`Tight.fits`), and the
 contact list itself has to be used.
@@ -90,27 +90,26 @@ def tighten(network: ContactList, displacement: Vector, allowed: jax.Array) -> T
     pair = geometry(network, still)
     first, second = (allowed.at[ball].get(mode="promise_in_bounds") for ball in (network.first, network.second))
     near = (pair.overlap + first + second > 0) & (network.image >= 0)
-    number = jnp.cumsum(near, dtype=jnp.int32)
-    count = number[-1]
-    found_at = jnp.where(near, jnp.minimum(number, length) - 1, length - 1)
+    order = jnp.cumsum(near, dtype=jnp.int32)
+    found_at = jnp.where(near, jnp.minimum(order, length) - 1, length - 1)
     place = jnp.full(length, nothing, jnp.int32)
-    place = place.at[jnp.where(near, number - 1, length)].set(
+    place = place.at[jnp.where(near, order - 1, length)].set(
         jnp.arange(nothing + 1, dtype=jnp.int32), mode="drop", unique_indices=True
     )
     place = place.at[length - 1].set(nothing)
 
     there = found_at.at[network.slot].get(mode="promise_in_bounds")
-    filled = there < length - 1
-    row = jnp.cumsum(filled, axis=0, dtype=jnp.int32)
+    rows = jnp.arange(width, dtype=jnp.int32)[:, None]
 
-    def taken(chosen, rows):
-        """Which of a ball's slots comes to each row of the tight table."""
-        number, here, at = rows
-        return jnp.where(here & (at == jnp.arange(1, width + 1)[:, None]), number, chosen), None
+    def taken(carry, row):
+        """Which of a ball's slots comes to each row of the tight table, and how many there are so far."""
+        chosen, number = carry
+        slot, filled = row
+        return (jnp.where(filled & (number == rows), slot, chosen), number + filled), None
 
+    start = jnp.full((width, balls), -1, jnp.int32), jnp.zeros(balls, jnp.int32)
     slots = jnp.arange(network.slot.shape[0], dtype=jnp.int32)
-    empty = jnp.full((width, balls), -1, jnp.int32)
-    chosen, _ = jax.lax.scan(taken, empty, (slots, filled, row))
+    (chosen, number), _ = jax.lax.scan(taken, start, (slots, there < length - 1))
     there_is = chosen >= 0
     chosen = jnp.maximum(chosen, 0) * balls + jnp.arange(balls, dtype=jnp.int32)
 
@@ -134,7 +133,7 @@ def tighten(network: ContactList, displacement: Vector, allowed: jax.Array) -> T
         **turned,
         tight=None,
     )
-    fits = (count <= length - 1) & (row[-1].max() <= width)
+    fits = (order[-1] <= length - 1) & (number.max() <= width)
     return Tight(tight, place, found_at, still, allowed, fits)
 
 

@@ -1,6 +1,6 @@
 """Steps that see a tight list (`axijax.mechanics.tight_list`) in place of the contact list, and what is observed by it.
 
-The results are those of the contact list to the last bit: where a tight list had no room, or a ball moved by more than
+The results are those of the contact list to rounding: where a tight list had no room, or a ball moved by more than
 it was allowed, the steps are taken again with the contact list. Used where the list has room for it and no term acts
 between balls that do not touch.
 """
@@ -78,7 +78,7 @@ def steps_until_worn(
     wear: Callable[[State], jax.Array],
     with_all: Callable[[State, jax.Array], tuple[State, jax.Array]],
 ) -> tuple[State, jax.Array, Tight]:
-    """A state after `most` steps, or fewer where the contact list is worn before; how many it took; a tight list for it.
+    """A state after `most` steps, or fewer where the contact list is worn before; how many it took; its tight list.
 
     tight: made for the state it starts from. stride: steps between looks at `wear`, beyond 1 of which it ends.
     with_all: takes so many steps, or fewer where the list is worn, with the contact list.
