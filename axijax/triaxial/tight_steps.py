@@ -30,14 +30,19 @@ def tight_list(network: ContactList, state: State, dt, steps: int) -> Tight:
     return tighten(network, state.displacement, allowances(network, state.velocity, dt, min(steps, STEPS)))
 
 
-def observed(see: Callable[[ContactList, State], Any], network: ContactList, tight: Tight, state: State) -> Any:
-    """What is seen of a state with a tight list that was made for it, or with the contact list where it has no room."""
+def observed(see: Callable[[ContactList, State], Any], network: ContactList, tight: Tight | None, state: State) -> Any:
+    """What is seen of a state with a tight list that was made for it, or with the contact list where there is none or
+    it has no room."""
+    if tight is None:
+        return see(network, state)
     inside = state._replace(memory=tight.memory_in(state.memory))
     return jax.lax.cond(tight.fits, lambda: see(tight.network, inside), lambda: see(network, state))
 
 
-def fixed_steps(step: Step, network: ContactList, dt, tight: Tight, state: State, steps: int) -> State:
-    """A state so many steps later, for jvp, vmap and reverse mode. tight: made for the state."""
+def fixed_steps(step: Step, network: ContactList, dt, tight: Tight | None, state: State, steps: int) -> State:
+    """A state so many steps later, for jvp, vmap and reverse mode. tight: made for the state, or None for none."""
+    if tight is None:
+        return _with_all(step, network, state, steps)
     number = -(-steps // STEPS)
     if number == 1:
         return _block(step, network, tight, state, steps)
@@ -61,10 +66,11 @@ def _block(step: Step, network: ContactList, tight: Tight, state: State, steps: 
     (after, farthest), _ = jax.lax.scan(further, (inside, jnp.zeros_like(tight.allowed)), None, length=steps)
     after = after._replace(memory=tight.memory_out(after.memory, state.memory))
 
-    def again():
-        return jax.lax.scan(lambda state, _: (step(network, state), None), state, None, length=steps)[0]
+    return jax.lax.cond(tight.holds(farthest), lambda: after, lambda: _with_all(step, network, state, steps))
 
-    return jax.lax.cond(tight.holds(farthest), lambda: after, again)
+
+def _with_all(step: Step, network: ContactList, state: State, steps: int) -> State:
+    return jax.lax.scan(lambda state, _: (step(network, state), None), state, None, length=steps)[0]
 
 
 def steps_until_worn(
@@ -74,13 +80,15 @@ def steps_until_worn(
     tight: Tight,
     state: State,
     most,
+    ahead: int,
     stride: int,
     wear: Callable[[State], jax.Array],
     with_all: Callable[[State, jax.Array], tuple[State, jax.Array]],
 ) -> tuple[State, jax.Array, Tight]:
     """A state after `most` steps, or fewer where the contact list is worn before; how many it took; its tight list.
 
-    tight: made for the state it starts from. stride: steps between looks at `wear`, beyond 1 of which it ends.
+    tight: made for the state it starts from. ahead: steps that the next ones are made for, see `tight_list`.
+    stride: steps between looks at `wear`, beyond 1 of which it ends.
     with_all: takes so many steps, or fewer where the list is worn, with the contact list.
     """
 
@@ -101,7 +109,7 @@ def steps_until_worn(
         state = jax.tree.map(lambda new, old: jnp.where(good, new, old), after, state)
         state, more = with_all(state, jnp.where(good, 0, size))
         taken = taken + jnp.where(good, number, more)
-        return state, taken, tight_list(network, state, dt, STEPS)
+        return state, taken, tight_list(network, state, dt, ahead)
 
     return jax.lax.while_loop(going, further, (state, jnp.zeros((), jnp.int32), tight))
 
