@@ -190,7 +190,7 @@ def test_the_public_names():
 
 # ---- Derivatives ----
 
-# All kinds of commands, one after the other; criteria in strain, so that a number changes what is recorded, not how often.
+# All kinds of commands; criteria in strain, so that a number changes what is recorded, not how often.
 PATHS = {
     "drained": (stage("compression", axial_strain=3e-4), stage("extension", axial_strain=1e-4)),
     "cycles": (stage("cycles", first=3e-4, second=1e-4),),
@@ -206,8 +206,8 @@ NAMES = ("friction", "normal_stiffness", "confining_stress")
 
 
 def worst_derivative(stages, params, h=1e-4):
-    """Of axial strain, axial and lateral stress, means over the last third of a test, by each number's logarithm: how far
-    the exact one is from central differences, over the largest of them."""
+    """Of axial strain, axial and lateral stress, means over the last third of a test, by each number's logarithm: how
+    far the exact one is from central differences, over the largest of them."""
     here = test(*stages, params=params)
 
     def seen(logs):
