@@ -255,7 +255,7 @@ def test_a_path_of_ones_own_reaches_its_ratio():
 
 def test_a_path_of_ones_own_is_a_stage_among_others():
     """The ratio is reached where it alone is the test, and kept while the platens of the next stage stand."""
-    params, prepared = whole_test()
+    params, _ = whole_test()
     specimen = fcc_octagon(layers=3, half_width=3)
     stages = page.StressRatio(RATIO, 5.0, 4.0), stage("hold", time=2.0)
     test = TriaxialTest(specimen, params=params, stages=stages, tolerance=1e-8)
