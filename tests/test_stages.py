@@ -1,5 +1,7 @@
 """Stages: commands for platens and membrane, one after the other, on a small lattice."""
 
+import re
+import tomllib
 from dataclasses import replace
 from functools import lru_cache, partial
 
@@ -10,6 +12,7 @@ import pytest
 
 import axijax
 from axijax import Params, Sector, TriaxialTest, fcc_octagon, raise_for_status, stage
+from axijax.app.case import Case, default_case, make_case, to_toml
 from axijax.mechanics.energy import energy_balance, make_ledger_step, open_ledger
 from axijax.triaxial import progress
 from axijax.triaxial import stages as functions
@@ -182,6 +185,47 @@ def split_ratio(curve, number):
 def test_senseless_stages_are_refused_in_one_sentence(made, told):
     with pytest.raises(ValueError, match=told):
         made()
+
+
+STAGES = """
+[[stage]]
+type = "isotropic"
+lateral_stress = 1e5
+[[stage]]
+type = "cycles"
+lateral = "fluid"
+fluid_modulus = 1e8
+porosity = 0.3
+first = 0.01
+second = 0.0
+cycles = 3
+"""
+
+
+def test_stages_of_a_case_file():
+    """The same as from Python, read and written; without any, what case files always meant."""
+    case = make_case(tomllib.loads(STAGES), "a.toml")
+    numbers = {"fluid_modulus": 1e8, "porosity": 0.3, "first": 0.01, "second": 0.0, "cycles": 3}
+    assert case.build().stages == (stage("isotropic", lateral_stress=1e5), stage("cycles", lateral="fluid", **numbers))
+    assert make_case(tomllib.loads(to_toml(case)), "b.toml") == case
+    assert Case.model_validate_json(case.model_dump_json()) == case
+    assert default_case().build().stages == () and "stage" not in default_case().model_dump()
+
+
+@pytest.mark.parametrize(
+    "text, told",
+    [
+        ("[[stage]]\ntype = 'isotropi'", "[[stage]] 1: type = 'isotropi': must be 'compression'"),
+        (STAGES + "spee = 3", "[[stage]] 2: 'spee' is not a field; did you mean 'speed'?"),
+        ("[[stage]]\ntype = 'hold'\nspeed = 1.0", "[[stage]] 1: speed = 1.0: a stage of type 'hold' takes axial_strain"),
+        ("[[stage]]\nlateral = 'k0'", "[[stage]] 1: type is missing"),
+        ("[stage]\ntype = 'hold'", "stage: must be tables, each headed [[stage]]"),
+        ("[test]\naxial_strain = 0.1\n" + STAGES, "test.axial_strain would do nothing beside [[stage]]"),
+    ],
+)
+def test_a_senseless_stage_of_a_case_file(text, told):
+    with pytest.raises(ValueError, match=re.escape(told)):
+        make_case(tomllib.loads(text), "a.toml")
 
 
 def test_the_public_names():
