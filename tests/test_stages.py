@@ -217,7 +217,7 @@ def test_stages_of_a_case_file():
     [
         ("[[stage]]\ntype = 'isotropi'", "[[stage]] 1: type = 'isotropi': must be 'compression'"),
         (STAGES + "spee = 3", "[[stage]] 2: 'spee' is not a field; did you mean 'speed'?"),
-        ("[[stage]]\ntype = 'hold'\nspeed = 1.0", "[[stage]] 1: speed = 1.0: a stage of type 'hold' takes axial_strain"),
+        ("[[stage]]\ntype = 'hold'\nspeed = 1.0", "[[stage]] 1: speed = 1.0: a stage of type 'hold' takes"),
         ("[[stage]]\nlateral = 'k0'", "[[stage]] 1: type is missing"),
         ("[stage]\ntype = 'hold'", "stage: must be tables, each headed [[stage]]"),
         ("[test]\naxial_strain = 0.1\n" + STAGES, "test.axial_strain would do nothing beside [[stage]]"),
