@@ -106,7 +106,7 @@ def _timed(test: TriaxialTest) -> tuple[float | None, float | None]:
     state = initial_state(test.scene, test.params, test.network, [test.cut.bottom, test.cut.top])
     loose = Progress(
         test.params, test.network, test.membrane, state, test.lateral_load, Confinement(zero, zero, zero), height,
-        no_records(),
+        no_records(test.params),
     )  # fmt: skip
     seconds = []
     for _ in range(2):
