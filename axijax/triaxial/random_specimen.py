@@ -1,11 +1,13 @@
 """Random specimens: balls of a grading placed at random in a sector, grown, compacted, and turned into a full cylinder.
 
-1. Radii by quantiles of the grading, so that the grading is met as well as so many balls can; the seed shuffles them.
-2. Centres at random in the sector; small balls grow to their size while overlaps, images included, are pushed apart.
-3. Compaction by membrane and platens at the confining stress, with a friction that decides how dense the packing
+1. Radii by quantiles of the grading, so that the grading is met as well as so many balls can.
+2. Centres and sizes from a Halton sequence, scrambled by the seed, so that every part of the sector gets its share of
+   balls and of sizes; small balls grow to their size while overlaps, images included, are pushed apart.
+3. Contraction of the cloud as a whole until balls and platens bear on one another, see `axijax.triaxial.compaction`.
+4. Compaction by membrane and platens at the confining stress, with a friction that decides how dense the packing
    becomes: 0.05 gives a dense one, 0.5 nearly the loosest.
 
-Everything is made on the host but the compaction, which is the triaxial test's own confinement.
+The last is the triaxial test's own confinement.
 """
 
 from dataclasses import dataclass, replace
@@ -18,9 +20,10 @@ from axijax import theory
 from axijax.core.platform import require_64_bits
 from axijax.core.sector import Sector, plane_normals
 from axijax.core.vector import from_rows
-from axijax.mechanics.dynamics import Scene, positions
+from axijax.mechanics.contacts import geometry
+from axijax.mechanics.dynamics import Scene, all_forces, positions
 from axijax.mechanics.linear import Linear
-from axijax.mechanics.membrane import build_membrane, membrane_radius
+from axijax.mechanics.membrane import Load, build_membrane, membrane_radius
 from axijax.mechanics.outer_balls import outer_balls
 from axijax.mechanics.params import Params, check_params
 from axijax.mechanics.rebuild import roomy_lists
@@ -28,12 +31,16 @@ from axijax.mechanics.time_step import DEFAULT_STEP
 from axijax.specimen.fabric import contact_statistics, inside_balls, measured, pairs_within, sample_points
 from axijax.specimen.grading import Fraction, Grading, linear
 from axijax.specimen.specimen import Specimen, check_positive
+from axijax.triaxial.compaction import Contraction
 from axijax.triaxial.feasible import check_feasible
 from axijax.triaxial.paths import Isotropic
 from axijax.triaxial.stages import settle
+from axijax.triaxial.uniformity import core_stress, trends
 
 BEYOND = 1.5  # mean radii by which the balls reach beyond Rm, once compacted
 LIGHTEST = 0.75  # radius of the ball that is as heavy as the lightest in compaction, over that of the mean volume
+# Radius of the core that no ball can reach, over the cloud's, above which it cannot contract alike in all directions.
+HOLLOW = 0.25
 DENSEST, LOOSEST = 0.02, 0.5  # compaction frictions between which a void ratio is sought
 
 
@@ -49,6 +56,8 @@ class PackingReport:
     void_ratio: volume not in balls over volume in balls, in the cylinder of radius Rm between the platens (volume
         pi Rm^2 H; of a ball that it cuts, the part inside) [-].
     core_void_ratio: the same within Rm/2 and the middle 60 % of the height [-].
+    core_stress_ratio, core_contacts, core_stress_error: of that core, see `uniformity.CoreStress`.
+    void_ratio_trend, size_trend, size_trend_error: (2,) along radius and height, see `uniformity.Trends` [-].
     coordination_number, mechanical_coordination_number, rattler_fraction, anisotropy: see `fabric.Contacts` [-].
     compaction_friction: with which it was compacted [-].
     unbalanced_force, stress_error: how well it is balanced, as at the end of a confinement [-].
@@ -66,6 +75,12 @@ class PackingReport:
     height: float
     void_ratio: float
     core_void_ratio: float
+    core_stress_ratio: float
+    core_contacts: int
+    core_stress_error: float
+    void_ratio_trend: tuple[float, float]
+    size_trend: tuple[float, float]
+    size_trend_error: tuple[float, float]
     coordination_number: float
     mechanical_coordination_number: float
     rattler_fraction: float
@@ -91,6 +106,12 @@ class PackingReport:
                 f"  size             Rm {self.membrane_radius:.4g}, H {self.height:.4g}, H/D "
                 f"{self.height / 2 / self.membrane_radius:.3f}",
                 f"  void ratio       {self.void_ratio:.4f} in pi Rm^2 H, {self.core_void_ratio:.4f} in the inner core",
+                f"  core             stress ratio {self.core_stress_ratio:.3f}, vertical over horizontal; 1 +- "
+                f"{self.core_stress_error:.3f} expected of {self.core_contacts} contacts",
+                f"  uniformity       void ratio {self.void_ratio_trend[0]:+.3f} outer less inner half, "
+                f"{self.void_ratio_trend[1]:+.3f} middle less ends; size {100 * self.size_trend[0]:+.1f} +- "
+                f"{100 * self.size_trend_error[0]:.1f} %, {100 * self.size_trend[1]:+.1f} +- "
+                f"{100 * self.size_trend_error[1]:.1f} %",
                 f"  coordination     {self.coordination_number:.3f}, mechanical "
                 f"{self.mechanical_coordination_number:.3f}, rattlers {100 * self.rattler_fraction:.1f} %",
                 f"  fabric           vertical minus horizontal {self.anisotropy:+.4f}",
@@ -161,12 +182,11 @@ def random_cylinder(
 
     def compacted(friction: float) -> tuple[Specimen, PackingReport]:
         rng = np.random.default_rng(seed)
-        radius = rng.permutation(radii)
         # Near to what compaction will reach, so that it hardly changes the shape.
-        loose = _grown(radius, sector, aspect_ratio, 0.6 - 0.1 * friction / (friction + 0.15), rng)
+        loose = _grown(radii, sector, aspect_ratio, 0.6 - 0.1 * friction / (friction + 0.15), rng)
         path = Isotropic(float(friction) or None, tolerance, most_steps)
         cut, report = _compacted(loose, sector, params, path)
-        known = {"fractions": grading.fractions(radii), "warnings": told, "sieves": _sieves(grading, radius)}
+        known = {"fractions": grading.fractions(radii), "warnings": told, "sieves": _sieves(grading, radii)}
         return cut, replace(report, grading=grading.name, seed=seed, **known)
 
     if void_ratio is None:
@@ -212,13 +232,18 @@ def _sought(compacted, void_ratio: float, tolerance: float):
     )
 
 
+def _hollow(mean: float, sector: Sector) -> float:
+    """Radius of the core that no ball between close planes can reach [L]; mean: of the balls' radii."""
+    return 0.8 * max(mean / np.sin(np.pi / sector.order) - mean, 0.0) if sector.order > 2 else 0.0
+
+
 def _container(radius: np.ndarray, sector: Sector, aspect_ratio: float, solid_fraction: float):
     """Radius and height of a cylinder that these balls fill to a solid fraction [L].
 
     Counted without the looser layer along walls, and the core that no ball between close planes can reach.
     """
     solid, mean = sector.order * (4 / 3) * np.pi * (radius**3).sum(), radius.mean()
-    core = 0.8 * max(mean / np.sin(np.pi / sector.order) - mean, 0.0) if sector.order > 2 else 0.0
+    core = _hollow(mean, sector)
     side = 1.5 * (solid / (2 * np.pi * aspect_ratio * solid_fraction)) ** (1 / 3) + core + 2 * mean
     for _ in range(100):
         height = 2 * aspect_ratio * (side - BEYOND * mean)
@@ -232,9 +257,13 @@ def _grown(radius: np.ndarray, sector: Sector, aspect_ratio: float, solid_fracti
 
     Centres at random, radii growing from nothing; overlaps are pushed apart, half by either ball.
     """
+    from scipy.stats import qmc  # takes long to import
+
     side, height = _container(radius, sector, aspect_ratio, solid_fraction)
     count = radius.size
-    u = rng.random((3, count))
+    # Independent numbers would leave regions of balls that are few, or small, and pushing apart does not reach far.
+    *u, size = qmc.Halton(4, rng=rng).random(count).T
+    radius = np.sort(radius)[size.argsort().argsort()]
     rho, theta = side * np.sqrt(u[0]), sector.angle * u[1]
     place = np.stack([rho * np.cos(theta), rho * np.sin(theta), height * u[2]])
 
@@ -278,7 +307,13 @@ def _compacted(loose: Specimen, sector: Sector, params: Params, path: Isotropic)
     mass = float(params.density) * (4 / 3) * np.pi * least**3
     # The limit of twelve contacts a ball, which no ball of the smallest size exceeds (PHYSICS 3.5).
     dt = float(DEFAULT_STEP * np.sqrt(mass / (10 * max(float(params.normal_stiffness), float(params.shear_stiffness)))))
-    (network, _), state, balance = settle(Scene(), path, loose, lists, dt, params)
+    wide, state, begun = (np.hypot(*loose.positions[:2]) + loose.radius).max(), None, 0
+    if _hollow(loose.radius.mean(), sector) < HOLLOW * wide:
+        together = Contraction(path.friction, path.tolerance, path.most_steps, inertia, wide / loose.height)
+        lists, state, contracted = settle(Scene(), together, loose, lists, dt, params)
+        state, begun = state._replace(memory=state.memory[:-1]), int(contracted.steps)  # the container has no memory
+    (network, membrane), state, balance = settle(Scene(), path, loose, lists, dt, params, start=state)
+    balance = balance._replace(steps=begun + balance.steps)
     if not float(balance.worst) <= path.tolerance:
         raise RuntimeError(
             f"compaction of the random specimen stopped after {int(balance.steps)} steps at an unbalanced force of "
@@ -297,6 +332,12 @@ def _compacted(loose: Specimen, sector: Sector, params: Params, path: Isotropic)
     rm = float(membrane_radius(build_membrane(cut, sector), from_rows(place)))
     middle, height = (top + bottom) / 2, top - bottom
     contacts = contact_statistics(cut, sector)
+    trend = trends(cut, sector, rm)
+    at_rest = path.params(params, network, membrane, state.platens)
+    forces = all_forces(path.scene(Scene()), at_rest, network, Load(jnp.zeros(len(cut)), jnp.ones(())), dt, state)
+    branch = geometry(network, state.displacement).branch
+    normal = branch * (1 / jnp.sqrt(branch.dot(branch)))
+    stress = core_stress(network, forces.contacts.force, normal, from_rows(place), rm, state.platens)
     report = PackingReport(
         balls=len(cut) * sector.order,
         order=sector.order,
@@ -309,6 +350,12 @@ def _compacted(loose: Specimen, sector: Sector, params: Params, path: Isotropic)
         height=height,
         void_ratio=_void_ratio(cut, sector, rm, bottom, top),
         core_void_ratio=_void_ratio(cut, sector, rm / 2, middle - 0.3 * height, middle + 0.3 * height),
+        core_stress_ratio=stress.ratio,
+        core_contacts=stress.contacts,
+        core_stress_error=stress.error,
+        void_ratio_trend=trend.void_ratio,
+        size_trend=trend.size,
+        size_trend_error=trend.size_error,
         **contacts._asdict(),
         compaction_friction=float(path.friction or 0.0),
         unbalanced_force=float(balance.unbalanced_force),
