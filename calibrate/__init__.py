@@ -8,7 +8,16 @@ from importlib import import_module
 
 _PLACES = {
     "targets": ("Datum", "HardPeak", "InitialSlope", "RatioAt", "SmoothPeak", "StrainAtPeak", "WindowMean"),
-    "measured": ("DataError", "MeasuredCurve", "ROWE", "RoweTest"),
+    "functionals": (
+        "E50",
+        "FrictionAngle",
+        "MaxDilatancy",
+        "StressDilatancy",
+        "VoidRatioAt",
+        "VolumeAt",
+        "rowe_constant",
+    ),
+    "measured": ("DataError", "MeasuredCurve", "ROWE", "RoweTest", "read_measured"),
     "parameters": ("ParameterSet", "Prior"),
     "model": ("Cost", "Model", "RunFailed", "jacobian_of", "stretch_tangent"),
     "gradients": ("Gradient", "Health", "gradient", "gradient_health"),
@@ -19,6 +28,7 @@ _PLACES = {
     "secant": ("fit_friction_to_peak", "fit_one"),
     "descent": ("fit_by_descent", "fit_friction_per_ball"),
     "file": ("calibrate_file",),
+    "sensitivity": ("Sensitivity", "further_tests", "sensitivity"),
 }
 _HOME = {name: module for module, names in _PLACES.items() for name in names}
 

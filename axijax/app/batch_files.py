@@ -18,7 +18,7 @@ from axijax.core.files import remove_leftovers, writable_folder, write_whole
 from axijax.core.fingerprint import differences, fingerprint, versions
 from axijax.core.quantity import values_of
 from axijax.mechanics.params import Params
-from axijax.triaxial.records import RECORDS, Confinement, Curve, find_peak
+from axijax.triaxial.records import Confinement, Curve, find_peak, records_of
 from axijax.triaxial.test import TriaxialTest
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def read_member(folder: Path, wanted: Stored) -> Stored | None:
             "another folder, or delete it."
         )
     unbalanced, stress_error, steps = json.loads(data.attrs["confinement"])
-    records: dict[str, Any] = {name: data[name].values[0] for name in RECORDS} | {"status": np.int32(0)}
+    records: dict[str, Any] = {name: data[name].values[0] for name in records_of(data)} | {"status": np.int32(0)}
     confinement = Confinement._make(map(np.asarray, (unbalanced, stress_error, int(steps))))
     curve = Curve(**records, confinement=confinement)
     return replace(wanted, curve=curve, seconds=float(data.seconds.values[0]))
@@ -198,7 +198,7 @@ def _load(file: Path) -> "xarray.Dataset":
 
     try:
         data = xarray.load_dataset(file, engine="scipy")
-        sound = all(data[name].dims == ("member", "record") for name in RECORDS) and data.sizes["member"] == 1
+        sound = all(data[name].dims == ("member", "record") for name in records_of(data)) and data.sizes["member"] == 1
         labels, confinement = (json.loads(data.attrs[name]) for name in ("labels", "confinement"))
         sound = sound and all(data[name].dims == ("member",) for name in (*labels, *PEAK, "seconds"))
         sound = sound and len(confinement) == len(Confinement._fields) and np.isfinite(confinement).all()

@@ -29,6 +29,7 @@ from pydantic import BaseModel, Field, ValidationError, create_model, model_seri
 
 from axijax.app.case_parts import ParametersCase, SceneCase, Section, bounds, build_params, check_used
 from axijax.app.case_reading import nearest, read_toml, sentence
+from axijax.app.case_stages import HELP, StageCase
 from axijax.core.quantity import settings
 from axijax.core.sector import Sector
 from axijax.mechanics.params import Params
@@ -41,6 +42,9 @@ LEAST, MOST = 1e-30, 1e30
 # Balls of the full cylinder that a case may ask for, fifty times as many as were tested. 34 000 in one sector take a
 # minute and a half before their first step.
 MOST_BALLS = 200_000
+
+# Kinds of specimen whose balls a result keeps, since the case alone does not give them again to the last bit.
+GIVEN = ("random", "file")
 
 # The fields that a kind of specimen takes, and the orders of sector that fit it.
 KINDS: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
@@ -56,10 +60,14 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
         ),
         (),  # made for the sector, whatever its order
     ),
+    "file": (("path",), ()),  # what fits depends on the balls
 }  # fmt: skip
 
 # Fields that a file may leave to the specimen.
-LEFT_OUT = {"confining_friction": "left out: none, but for a random specimen that of its compaction"}
+LEFT_OUT = {
+    "confining_friction": "left out: none, but for a random specimen that of its compaction, and for a packing from a "
+    "file that of the test"
+}
 
 
 def _section(name: str, source: type) -> Any:
@@ -81,9 +89,10 @@ def _section(name: str, source: type) -> Any:
 class SpecimenCase(Section):
     """The specimen, a full cylinder from which the sector is cut."""
 
-    kind: Literal["octagon", "fcc", "bcc", "hcp", "sc", "random"] = Field(
+    kind: Literal["octagon", "fcc", "bcc", "hcp", "sc", "random", "file"] = Field(
         "octagon",
-        description="packing: FCC of octagonal section (the paper's), a circular cylinder of a lattice, random",
+        description="packing: FCC of octagonal section (the paper's), a circular cylinder of a lattice, random, or "
+        "your own from a file",
     )
     radius: float = Field(20.0, gt=0, description="ball radius [L]")
     layers: int = Field(25, ge=1, le=10_000, description="number of horizontal layers [-]")
@@ -113,6 +122,11 @@ class SpecimenCase(Section):
         description="void ratio sought in place of compaction_friction, to 0.005, in up to twelve compactions [-]",
     )
     seed: int = Field(0, ge=0, lt=2**63, description="of the random numbers [-]")
+    path: str = Field(
+        "balls.csv",
+        description="file of balls, with columns x, y, z and radius (CSV, or NetCDF with such variables) [L]; the "
+        "cylinder's axis is x = y = 0",
+    )
 
     @model_validator(mode="after")
     def _takes(self) -> "SpecimenCase":
@@ -128,7 +142,7 @@ class SpecimenCase(Section):
         else:
             ratio = self.specimen_radius / self.radius  # a power would raise OverflowError where a product is infinite
             across, fields = 0.91 * ratio * ratio, "specimen_radius, or a larger radius"
-        if self.kind != "random" and across * self.layers > MOST_BALLS:
+        if self.kind not in GIVEN and across * self.layers > MOST_BALLS:
             raise ValueError(
                 f"kind = '{self.kind}' of {self.layers} layers would hold some {across * self.layers:.2g} balls: at "
                 f"most {MOST_BALLS:,} are allowed; take fewer layers or a smaller {fields}"
@@ -140,12 +154,16 @@ class SpecimenCase(Section):
         return {name: value for name, value in dump(self).items() if name in ("kind", *KINDS[self.kind][0])}
 
     def build(self) -> Specimen:
-        """A lattice's specimen."""
+        """A lattice's specimen, or that of a file."""
         options = {name: getattr(self, name) for name in KINDS[self.kind][0]}
         if self.kind == "octagon":
             return fcc_octagon(**options)
         if self.kind == "fcc":
             return fcc_cylinder(**options)
+        if self.kind == "file":
+            from axijax.triaxial.own_packing import packing
+
+            return packing(self.path)
         return lattice_cylinder(self.kind, **options)
 
 
@@ -173,10 +191,15 @@ class Case(Section):
     scene: SceneCase = SceneCase()
     parameters: ParametersCase = ParametersCase()
     test: TestSection = TestSection()
+    stage: tuple[StageCase, ...] = Field((), strict=False)
 
     @model_validator(mode="after")
     def _used(self) -> "Case":
         check_used(self.scene, self.parameters)
+        if self.stage and "axial_strain" in self.test.model_fields_set:
+            raise ValueError(
+                "test.axial_strain would do nothing beside [[stage]]: leave it out, and give the stages where they end"
+            )
         return self
 
     @model_serializer(mode="wrap")
@@ -184,7 +207,19 @@ class Case(Section):
         sections = dump(self)
         taken = self.scene.takes()
         sections["parameters"] = {name: value for name, value in sections["parameters"].items() if name in taken}
+        stages = [each.model_dump(exclude_unset=True, exclude_none=True) for each in self.stage]
+        if stages:
+            sections["stage"] = stages
+            sections["test"].pop("axial_strain")
+        else:
+            sections.pop("stage")
         return sections
+
+    def sections(self) -> dict[str, dict[str, Any]]:
+        """The fields of all sections, "stage 1" and so on among them, by name."""
+        sections = self.model_dump()
+        stages = {f"stage {number}": given for number, given in enumerate(sections.pop("stage", ()), 1)}
+        return sections | stages
 
     def build(self, specimen: Specimen | None = None) -> TriaxialTest:
         """The test. specimen: one that was made before, by `made`, and the case that `made` returned with it."""
@@ -198,6 +233,7 @@ class Case(Section):
             Sector(**self.sector.model_dump()),
             scene=self.scene.build(),
             params=build_params(self.scene, self.parameters),
+            stages=tuple(each.build() for each in self.stage),
             **options,
         )
 
@@ -207,17 +243,20 @@ class Case(Section):
         Raises ValueError where the fields do not fit one another; RuntimeError where a random one does not settle.
         """
         for section, values in self:
-            for name, value in values:
+            for name, value in () if section == "stage" else values:
                 if isinstance(value, float) and value != 0 and math.isfinite(value) and not LEAST <= abs(value) <= MOST:
                     raise ValueError(f"{section}.{name} = {value:g}: must lie between {LEAST:g} and {MOST:g} in size.")
+        friction = self.test.confining_friction
         if self.specimen.kind != "random":
+            if self.specimen.kind == "file" and friction is None:
+                own = self.parameters.friction if self.scene.friction else 0.0
+                return self.with_test(confining_friction=own), self.specimen.build(), None
             return self, self.specimen.build(), None
         wanted = {"normal_stiffness", "shear_stiffness", "confining_stress", "density", "damping_ratio"}
         material = self.parameters.model_dump(include=wanted & set(self.scene.takes()))
         specimen, report = _packed(
             self.specimen.model_dump_json(), self.sector.model_dump_json(), tuple(material.items())
         )
-        friction = self.test.confining_friction
         case = self.with_test(confining_friction=report.compaction_friction if friction is None else friction)
         return case, specimen, report
 
@@ -269,9 +308,9 @@ def default_case(kind: str = "octagon") -> Case:
         near = nearest(kind, KINDS)
         raise ValueError(f"kind = '{kind}': must be one of {', '.join(KINDS)}{f'; {near}' if near else '.'}")
     sections: dict[str, Any] = {"specimen": {"kind": kind}}
-    if kind == "random":
+    if kind in GIVEN:
         # So few balls find no room in the tip of a quarter; a soil's friction; a balance that such a packing can reach.
-        sections["sector"], sections["parameters"] = {"order": 2}, {"friction": 0.4}
+        sections["sector"], sections["parameters"] = {"order": 2 if kind == "random" else 1}, {"friction": 0.4}
         sections["test"] = {"tolerance": 1e-3, "confine_steps": 100_000, "axial_strain": 0.05}
     elif 4 not in KINDS[kind][1]:
         sections["sector"] = {"order": max(KINDS[kind][1])}
@@ -292,6 +331,8 @@ def to_toml(case: Case) -> str:
                 continue
             if name == "parameters" and field not in case.scene.takes():
                 continue
+            if name == "test" and field == "axial_strain" and case.stage:
+                continue
             default = about.default
             if name == "sector" and field == "order" and KINDS[case.specimen.kind][1]:
                 allowed = f"{_allowed(about)}; this specimen takes {_listed(KINDS[case.specimen.kind][1])}"
@@ -302,7 +343,10 @@ def to_toml(case: Case) -> str:
             lines += textwrap.wrap(text, 110, initial_indent="# ", subsequent_indent="#   ", break_on_hyphens=False)
             value = getattr(values, field)
             lines.append(f"# {field} =" if value is None else f"{field} = {_toml(value)}")
-    return "\n".join(lines) + "\n"
+    for each in case.stage:
+        given = each.model_dump(exclude_unset=True, exclude_none=True)
+        lines += ["", "[[stage]]", *(f"{field} = {_toml(value)}" for field, value in given.items())]
+    return "\n".join(lines) + "\n" + ("" if case.stage else HELP)
 
 
 def _allowed(about) -> str:
@@ -345,12 +389,13 @@ def load_case(path: Path | str) -> Case:
 
 def make_case(data: dict, source: str) -> Case:
     """A case from what a file called `source` holds. Raises ValueError like `load_case`."""
-    specimen = data.get("specimen")
-    if isinstance(specimen, dict) and isinstance(specimen.get("grading"), str):  # beside the case file
-        data = data | {"specimen": specimen | {"grading": str(Path(source).absolute().parent / specimen["grading"])}}
-        if "\0" in specimen["grading"]:
-            raise ValueError(f"case file '{source}': specimen.grading holds a zero byte: it must name a file.")
-    known = {name: model for name, (model, _) in SECTIONS.items()}
+    for name in ("grading", "path"):  # files that lie beside the case file
+        specimen = data.get("specimen")
+        if isinstance(specimen, dict) and isinstance(specimen.get(name), str):
+            data = data | {"specimen": specimen | {name: str(Path(source).absolute().parent / specimen[name])}}
+            if "\0" in specimen[name]:
+                raise ValueError(f"case file '{source}': specimen.{name} holds a zero byte: it must name a file.")
+    known = {name: model for name, (model, _) in SECTIONS.items()} | {"stage": StageCase}
     try:
         return Case.model_validate(data)
     except ValidationError as error:

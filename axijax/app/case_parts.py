@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from axijax.core.quantity import Quantity, declared, optional_parts
 from axijax.mechanics.damping import BackgroundDamping, Damping, Dashpot, LocalDamping
-from axijax.mechanics.dynamics import Scene
+from axijax.mechanics.dynamics import MembraneKind, Scene
 from axijax.mechanics.hertz import Hertz
 from axijax.mechanics.linear import Linear
 from axijax.mechanics.material import Material
@@ -44,6 +44,11 @@ class SceneCase(Section):
     contact_law: Literal["linear", "hertz"] = Field(
         "linear", description='"linear" springs, or "hertz" for elastic spheres of one material (Hertz-Mindlin)'
     )
+    membrane: MembraneKind = Field(
+        "radial",
+        description='force of the membrane: "radial", towards the axis, "normal" to its surface rho(z), so that it '
+        'pushes a barrelling specimen along z as well, or "tied", normal with its ends tied to the platens',
+    )
 
     def parts(self) -> tuple[type, ...]:
         """The classes whose parameters this scene has."""
@@ -59,7 +64,7 @@ class SceneCase(Section):
         return found | (_optional(MATERIALS[self.contact_law]) if self.friction and self.rotation else {})
 
     def build(self) -> Scene:
-        return Scene(rotation=self.rotation)
+        return Scene(rotation=self.rotation, membrane=self.membrane)
 
 
 def bounds(about: Quantity) -> dict[str, float]:

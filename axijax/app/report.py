@@ -19,9 +19,10 @@ from matplotlib.figure import Figure
 
 from axijax.app import figures as pictures
 from axijax.app.case import SECTIONS, to_toml
+from axijax.app.case_stages import StageCase
 from axijax.app.checks import result_checks
 from axijax.app.plot import Measured, case_of, curve_figure, labels, thornton_ratio
-from axijax.app.results import RECORDS, Result
+from axijax.app.results import RECORDS, Result, records_of
 from axijax.app.snapshot import snapshot
 from axijax.core.files import draw_afterwards, write_whole
 from axijax.triaxial.records import find_peak
@@ -114,7 +115,7 @@ def report_page(results: Sequence[Result], data: Measured | None = None, energy:
         if result.has_state:
             body += [head("Pictures" if not several else "pictures"), *_pictures(result)]
         body += [head("How to make it again" if not several else "how to make it again"), _reproduce(result)]
-    body += ["<h2>What the curves mean</h2>", _glossary()]
+    body += ["<h2>What the curves mean</h2>", _glossary(result)]
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -191,8 +192,8 @@ def _checks(result: Result, energy: bool) -> str:
 
 def _inputs(result: Result) -> str:
     parts = []
-    for section, given in result.case.model_dump().items():
-        model, about = SECTIONS[section]
+    for section, given in result.case.sections().items():
+        model, about = SECTIONS.get(section, (StageCase, StageCase.__doc__ or ""))
         rows = [[field, _shown(value), model.model_fields[field].description or ""] for field, value in given.items()]
         parts.append(f"<h3>{escape(section)}</h3><p class='note'>{escape(about)}</p>")
         parts.append(_table(["field", "value", "meaning and unit"], rows, style="inputs"))
@@ -200,7 +201,7 @@ def _inputs(result: Result) -> str:
         test = result.test
         rows = [
             ["time step", f"{test.prepared.time_step:.5g}", "taken, [T]"],
-            ["steps", str(test.prepared.numerics.records * test.record_every), "of the shear"],
+            ["steps", str(test.prepared.numerics.most_steps), "of the shear"],
             ["balls", str(len(test.cut)), "in the sector"],
             ["membrane balls", str(int(test.cut.membrane_zone.sum())), "of these, at the start"],
             ["height", f"{test.cut.height:.5g}", "of the specimen as made [L]"],
@@ -252,8 +253,9 @@ def _flat(values: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, str
             yield f"{above}{name}".replace("_", " "), _shown(value)
 
 
-def _glossary() -> str:
-    rows = [[name, f"[{each.unit.replace('1', '-')}]", each.long_name] for name, each in RECORDS.items()]
+def _glossary(result: Result) -> str:
+    held = {name: RECORDS[name] for name in records_of(result.curve)}
+    rows = [[name, f"[{each.unit.replace('1', '-')}]", each.long_name] for name, each in held.items()]
     return _table(["in curve.nc and curve.csv", "unit", "meaning"], rows)
 
 

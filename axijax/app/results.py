@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from axijax.core.files import printable, write_whole
-from axijax.triaxial.records import RECORDS, Curve
+from axijax.triaxial.records import RECORDS, Curve, records_of
 from axijax.triaxial.test import TriaxialTest, curve_of
 
 if TYPE_CHECKING:
@@ -48,11 +48,12 @@ def curves_dataset(curves: Mapping[str, Curve], labels: Mapping[str, Sequence], 
 
     longest = max(np.size(curve.axial_strain) for curve in curves.values())
     data: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
-    for name in RECORDS:
+    for name in dict.fromkeys(each for curve in curves.values() for each in records_of(curve)):
         table = np.full((len(curves), longest), np.nan)
         for row, curve in zip(table, curves.values(), strict=True):
-            values = np.asarray(getattr(curve, name))
-            row[: values.size] = values
+            values = getattr(curve, name)
+            if values is not None:  # one of several curves may have what the others have not
+                row[: np.size(values)] = values
         data[name] = (("run", "record"), table, {"long_name": RECORDS[name].long_name, "units": RECORDS[name].unit})
     for name, long_name in CONFINEMENT.items():
         ends = [getattr(curve.confinement, name.removeprefix("confinement_")) for curve in curves.values()]
@@ -73,8 +74,9 @@ def save_run(folder: Path, name: str, case: str, curve: Curve) -> list[Path]:
     attributes = {"title": name, "case": case, "axijax": version("axijax"), "jax": jax.__version__}
     paths = [folder / f"curve.{kind}" for kind in ("nc", "csv")]
     save_dataset(curves_dataset({name: curve}, {}, attributes), paths[0])
-    heads = [f"{column} [{each.unit.replace('1', '-')}]" for column, each in RECORDS.items()]
-    rows = zip(*(np.asarray(getattr(curve, column)).tolist() for column in RECORDS), strict=True)
+    columns = records_of(curve)
+    heads = [f"{column} [{RECORDS[column].unit.replace('1', '-')}]" for column in columns]
+    rows = zip(*(np.asarray(getattr(curve, column)).tolist() for column in columns), strict=True)
     comment = f"axijax {attributes['axijax']}, {name}: compression positive; curve.nc holds the same with the case"
     save_table(paths[1], heads, [dict(zip(heads, row, strict=True)) for row in rows], comment)
     return paths
@@ -132,13 +134,14 @@ class Result:
 
     @cached_property
     def test(self) -> TriaxialTest:
-        """The test, built again from the case, with the random specimen that was tested. Raises ValueError as `case`
-        does, or where that specimen is lost.
+        """The test, built again from the case, with the very balls that were tested where they are random or from a
+        file. Raises ValueError as `case` does, or where that specimen is lost.
         """
+        from axijax.app.case import GIVEN
         from axijax.app.specimen_file import NAME, load_specimen
 
-        random = self.case.specimen.kind == "random"
-        return self.case.build(load_specimen(self.path / NAME, self.case) if random else None)
+        given = self.case.specimen.kind in GIVEN
+        return self.case.build(load_specimen(self.path / NAME, self.case) if given else None)
 
     @property
     def has_state(self) -> bool:
@@ -274,8 +277,8 @@ def _read_curves(path: Path) -> list[tuple[str, "xarray.Dataset"]]:
         with xarray.open_dataset(path, engine="scipy") as file:
             curves = file.load()
         names = [str(name) for name in curves["run"].values]
-        known = all(curves[name].dims == ("run", "record") for name in RECORDS)
-        numbers = [*RECORDS, *(name for name in CONFINEMENT if name in curves)]
+        known = all(curves[name].dims == ("run", "record") for name in records_of(curves))
+        numbers = [*records_of(curves), *(name for name in CONFINEMENT if name in curves)]
         known = known and all(curves[name].dtype.kind in "fi" for name in numbers)
         for number, name in enumerate(names if known else ()):
             run = curves.isel(run=number, drop=True)

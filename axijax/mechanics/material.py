@@ -32,7 +32,7 @@ class Material:
 
     friction: jax.Array | float | None = quantity(
         0.12278,
-        "Coulomb coefficient between balls; none: no tangential forces",
+        "Coulomb coefficient between balls; a scene without friction has none",
         "-",
         symbols=("f", "mu"),
         coordinate="logit",
@@ -42,7 +42,14 @@ class Material:
     density: jax.Array | float = quantity(2000.0, "density of the balls", "M/L^3", above=0.0, symbols=("rho",))
     platen_friction: jax.Array | float | None = quantity(
         None,
-        "Coulomb coefficient between balls and platens; none: smooth, inf: glued",
+        "Coulomb coefficient between balls and platens; left out: smooth, inf: glued",
+        "-",
+        infinite=True,
+        optional=True,
+    )
+    plane_friction: jax.Array | float | None = quantity(
+        None,
+        "Coulomb coefficient between balls and rigid sector planes; none: smooth, inf: glued",
         "-",
         infinite=True,
         optional=True,
@@ -55,6 +62,11 @@ class Material:
     def frictional(self) -> bool:
         """Whether contacts carry tangential springs."""
         return self.friction is not None
+
+    @property
+    def rough_walls(self) -> bool:
+        """Whether any wall carries tangential springs."""
+        return self.platen_friction is not None or self.plane_friction is not None
 
     @property
     def kind_of_damping(self) -> Damping:

@@ -11,16 +11,20 @@ from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.contacts import Geometry, geometry
 from axijax.mechanics.dynamics import Forces, Scene, all_forces, next_motion, positions
 from axijax.mechanics.membrane import Load, Membrane, lateral_force, membrane_radius
+from axijax.mechanics.membrane_surface import straightened
 from axijax.mechanics.params import Params
-from axijax.mechanics.state import State
+from axijax.mechanics.state import Loading, State
 from axijax.mechanics.volume import solid_volume, void_ratio
+from axijax.mechanics.walls import WallForces, platen_loads
 
 
 class Observation(NamedTuple):
     """Measured at one moment; every field a scalar.
 
-    stress_ratio: R = s1/s3 with s1 = platen force / area of the sector of radius Rm (Cui & O'Sullivan 2005) [-].
-    virial_ratio: F H / (1/2 sum F_i rho_i), platen force F against the lateral load F_i at rho_i; no area in it [-].
+    stress_ratio: R = s1/s3 with s1 = platen force / area of the sector of radius Rm (Cui & O'Sullivan 2005) [-]. Under
+        a membrane that slopes: of the force as `membrane_surface.straightened`.
+    virial_ratio: F H / (1/2 sum F_i rho_i), platen force F against the lateral load F_i at rho_i; no area in it [-]. A
+        membrane's axial forces times their heights are taken off F H.
     core_ratio: vertical over mean horizontal Love-Weber stress of the balls within rho < Rm/2 and the middle 60 %
         of the height [-].
     height, membrane_radius: distance of the platens and radius Rm [L].
@@ -31,6 +35,15 @@ class Observation(NamedTuple):
     unbalanced_force: mean resultant on a ball over mean contact force [-].
     sliding_fraction: share of the touching contacts at the Coulomb limit [-].
     chatter: how far contacts move to and fro from one step to the next, see `chatter` [-].
+
+    Of a test in stages only, see `axijax.mechanics.state.Loading`:
+    lateral_stress: s3 at this moment, which is also that of the stress ratios [F/L^2].
+    pore_pressure [F/L^2], path_length, servo_error [-]; stage: its number, from 1.
+    Only where platens have friction, of the whole cylinder, whose horizontal forces cancel between periodic planes:
+    end_restraint: what they hold the specimen's ends together with, the friction towards the axis summed over the balls
+        on both, over their normal forces [-].
+    bottom_shear_x, bottom_shear_y, top_shear_x, top_shear_y: force of the balls on the platen [F].
+    bottom_torque, top_torque: moment of the balls on the platen about the axis [F L].
     """
 
     stress_ratio: jax.Array
@@ -44,6 +57,18 @@ class Observation(NamedTuple):
     unbalanced_force: jax.Array
     sliding_fraction: jax.Array
     chatter: jax.Array
+    lateral_stress: jax.Array | None = None
+    pore_pressure: jax.Array | None = None
+    path_length: jax.Array | None = None
+    servo_error: jax.Array | None = None
+    stage: jax.Array | None = None
+    end_restraint: jax.Array | None = None
+    bottom_shear_x: jax.Array | None = None
+    bottom_shear_y: jax.Array | None = None
+    bottom_torque: jax.Array | None = None
+    top_shear_x: jax.Array | None = None
+    top_shear_y: jax.Array | None = None
+    top_torque: jax.Array | None = None
 
 
 def observe(
@@ -53,8 +78,9 @@ def observe(
     forces = all_forces(scene, params, network, load, dt, state)
     place = positions(network, state)
     height = state.platens[1] - state.platens[0]
-    platen_force = forces.platen_forces(network).mean()
-    lateral = lateral_force(params.confining_stress, load, place)
+    stress, loading = state.lateral_stress(params), state.loading
+    platen_force = straightened(stress, load, forces.platen_forces(network)).mean()
+    lateral = lateral_force(stress, load, place)
     radius = membrane_radius(membrane, place)
     solids = solid_volume(network.radius, network.weight, network.sector)
     if membrane.zone_rule == "exposure":
@@ -77,8 +103,8 @@ def observe(
     if forces.contacts.moment_arm is not None:
         sliding = (at_coulomb_limit(params, network, force, normal) * touching).sum() / some
     return Observation(
-        stress_ratio=platen_force / load.section / params.confining_stress,
-        virial_ratio=platen_force * height / jnp.maximum(-0.5 * lateral.dot(place).sum(), 1e-300),
+        stress_ratio=platen_force / load.section / stress,
+        virial_ratio=virial_ratio(forces.platen_forces(network).mean(), lateral, load, place, state.platens),
         core_ratio=core_stress_ratio(network, forces, normal, place, radius, state.platens),
         height=height,
         membrane_radius=radius,
@@ -88,7 +114,47 @@ def observe(
         unbalanced_force=(resultant * network.weight).sum() / network.weight.sum() / jnp.maximum(mean_force, 1e-300),
         sliding_fraction=sliding,
         chatter=chatter(params, network, dt, state, forces, pair, normal),
+        **({} if params.material.platen_friction is None else platen_records(network, place, forces.walls)),
+        **({} if loading is None else of_loading(loading, network.dtype)),
     )
+
+
+def of_loading(loading: Loading, dtype) -> dict[str, jax.Array]:
+    """What of a path's memory is recorded, by the fields of `Observation`."""
+    return {
+        "lateral_stress": loading.lateral_stress,
+        "pore_pressure": loading.pore_pressure,
+        "path_length": loading.path_length,
+        "servo_error": loading.error,
+        "stage": loading.stage.astype(dtype),
+    }
+
+
+def platen_records(network: ContactList, place: Vector, walls: WallForces) -> dict[str, jax.Array]:
+    """What rough platens feel, by the fields of `Observation`."""
+    force, moment = platen_loads(network, place, walls)
+    rho = radial_distance(place)
+    found: dict[str, jax.Array] = {}
+    inward = pressed = jnp.zeros_like(force.z[0])
+    for end, (name, push, held) in enumerate(zip(("bottom", "top"), walls.normal, walls.held, strict=False)):
+        found |= {f"{name}_shear_x": force.x[end], f"{name}_shear_y": force.y[end], f"{name}_torque": moment.z[end]}
+        if held is not None:
+            along = (held.x * place.x + held.y * place.y) / jnp.where(rho > 0, rho, 1.0)
+            inward += (along * network.weight).sum()
+        pressed += (push * network.weight).sum()
+    if network.sector.images > 1:
+        whole = {"shear_x": 0.0, "shear_y": 0.0, "torque": network.sector.order}
+        found = {name: value * whole[name.partition("_")[2]] for name, value in found.items()}
+    return found | {"end_restraint": inward / jnp.maximum(pressed, 1e-300)}
+
+
+def virial_ratio(platen_force, lateral: Vector, load: Load, place: Vector, platens) -> jax.Array:
+    """Mean axial over mean lateral stress from boundary forces and their places alone [-]."""
+    height = platens[1] - platens[0]
+    if load.axial is None:
+        return platen_force * height / jnp.maximum(-0.5 * lateral.dot(place).sum(), 1e-300)
+    upright = platen_force * height - (lateral.z * (place.z - platens.mean())).sum()
+    return upright / jnp.maximum(-0.5 * (lateral.x * place.x + lateral.y * place.y).sum(), 1e-300)
 
 
 def at_coulomb_limit(params: Params, network: ContactList, force: Vector, normal: Vector) -> jax.Array:

@@ -30,10 +30,11 @@ def rebuild_on_host(cut: Specimen, lists: tuple[ContactList, Membrane], state: S
     now = replace(now, membrane_zone=zone_found_again(now, sector))
     skin, dtype = float(network.skin), network.dtype
     new = _list_in(network.slot.shape[0], network.first.size, now, sector, skin, largest_overlap, dtype)
-    surface = _membrane_in(membrane.corner.shape[1], membrane.zone.size, now, sector, dtype)
+    around = _membrane_in(membrane.corner.shape[1], membrane.zone.size, now, sector, dtype)
+    around = replace(around, surface=membrane.surface)
     still = zeros(network.radius.shape, network.dtype)
     new = replace(new, grid=network.grid)
-    return (new, surface), state._replace(displacement=still, memory=carry_memory(network, new, state.memory))
+    return (new, around), state._replace(displacement=still, memory=carry_memory(network, new, state.memory))
 
 
 def specimen_now(cut: Specimen, network: ContactList, membrane: Membrane, state: State) -> Specimen:

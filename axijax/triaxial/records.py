@@ -10,6 +10,7 @@ import numpy as np
 
 from axijax.core.status import UNSTABLE, described
 from axijax.mechanics.observe import Observation
+from axijax.mechanics.params import Params
 
 CHATTER = 1e-3  # `observe.chatter` of a sound run is below zero; above this, contacts chatter
 
@@ -36,16 +37,23 @@ class Confinement(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """What is said of a recorded quantity: long name, and unit as NetCDF writes it, "1" for none."""
+    """What is said of a recorded quantity: long name, unit as NetCDF writes it, "1" for none, and what a test must have
+    for it to be recorded, "" for nothing."""
 
     long_name: str
     unit: str
+    of: str = ""
 
 
-def recorded(long_name: str, unit: str = "1") -> Any:
+STAGES, ROUGH = "stages", "rough platens"
+
+
+def recorded(long_name: str, unit: str = "1", of: str = "", **default: Any) -> Any:
     """A field of `Curve` with one value a record. Files, reports and batches read its declaration from here; a quantity
-    of the same name in `observe.Observation` is taken over."""
-    return field(metadata={"record": Recorded(long_name, unit)})
+    of the same name in `observe.Observation` is taken over. of: what a test must have for it, "" for nothing."""
+    if of:
+        default["default"] = None
+    return field(metadata={"record": Recorded(long_name, unit, of)}, **default)
 
 
 @jax.tree_util.register_dataclass
@@ -72,12 +80,29 @@ class Curve:
     sliding_fraction: jax.Array = recorded("share of the contacts at the Coulomb limit")
     chatter: jax.Array = recorded("motion of contacts to and fro from step to step, against what their springs hold")
     membrane_radius: jax.Array = recorded("radius Rm through the middle of the membrane zone", "L")
+    lateral_stress: jax.Array | None = recorded("effective lateral stress s3", "F L-2", of=STAGES)
+    pore_pressure: jax.Array | None = recorded("pore pressure, or what would keep the volume", "F L-2", of=STAGES)
+    path_length: jax.Array | None = recorded("axial strain travelled, to and fro", of=STAGES)
+    servo_error: jax.Array | None = recorded("servo error as a stress, over the confining stress", of=STAGES)
+    stage: jax.Array | None = recorded("number of the stage", of=STAGES)
+    end_restraint: jax.Array | None = recorded("friction on both platens towards the axis, over force", of=ROUGH)
+    bottom_shear_x: jax.Array | None = recorded("force of the whole cylinder on the bottom platen", "F", of=ROUGH)
+    bottom_shear_y: jax.Array | None = recorded("force of the whole cylinder on the bottom platen", "F", of=ROUGH)
+    bottom_torque: jax.Array | None = recorded("its moment on the bottom platen about the axis", "F L", of=ROUGH)
+    top_shear_x: jax.Array | None = recorded("force of the whole cylinder on the top platen", "F", of=ROUGH)
+    top_shear_y: jax.Array | None = recorded("force of the whole cylinder on the top platen", "F", of=ROUGH)
+    top_torque: jax.Array | None = recorded("its moment on the top platen about the axis", "F L", of=ROUGH)
     confinement: Confinement
     status: jax.Array
 
 
 # The fields of a curve that hold one value a record, and what is said of each where it is written.
 RECORDS: dict[str, Recorded] = {f.name: f.metadata["record"] for f in fields(Curve) if "record" in f.metadata}
+
+
+def records_of(curve: Any) -> dict[str, Recorded]:
+    """The records that a curve has, and what is said of each; it may also be the dataset of a file."""
+    return {n: about for n, about in RECORDS.items() if not about.of or getattr(curve, n, None) is not None}
 
 
 class Peak(NamedTuple):
@@ -143,6 +168,33 @@ def find_peak(axial_strain, stress_ratio) -> Peak:
     return Peak(int(sound[top]), float(strain[top]), float(ratio[top]), doubt)
 
 
+FLAT = 0.003  # share of its largest value within which a curve's top counts as flat
+
+
+def flat_top(axial_strain, stress_ratio) -> tuple[float, float]:
+    """Strains between which the stress ratio stays within 0.3 % of its largest value, around that value's (T values
+    each) [-]; linear between records. A side on which the curve ends before it has fallen so far is NaN, so that no end
+    of a curve is taken for the end of its top.
+    """
+    strain, ratio = np.asarray(axial_strain, float), np.asarray(stress_ratio, float)
+    sound = np.isfinite(strain) & np.isfinite(ratio)
+    strain, ratio = strain[sound], ratio[sound]
+    if not ratio.size:
+        return float("nan"), float("nan")
+    top, level = int(ratio.argmax()), (1 - FLAT) * float(ratio.max())
+
+    def crossing(outward: np.ndarray) -> float:
+        """Where the curve, followed away from its top, first falls below the level."""
+        below = np.flatnonzero(ratio[outward] < level)
+        if not below.size:
+            return float("nan")
+        inside, outside = outward[below[0] - 1], outward[below[0]]
+        share = (ratio[inside] - level) / (ratio[inside] - ratio[outside])
+        return float(strain[inside] + share * (strain[outside] - strain[inside]))
+
+    return crossing(np.arange(top, -1, -1)), crossing(np.arange(top, ratio.size))
+
+
 def raise_for_status(status, curve: Curve | None = None) -> None:
     """Raise SimulationError, naming what went wrong and what to do, unless a curve's status bits are all zero."""
     bits = int(np.bitwise_or.reduce(np.asarray(status).ravel()))
@@ -150,10 +202,13 @@ def raise_for_status(status, curve: Curve | None = None) -> None:
         raise SimulationError(f"the test went wrong: {described(bits)}.", curve)
 
 
-def no_records() -> Observation:
-    """An observation of no moment at all."""
-    empty: Any = np.zeros(0)
-    return Observation(*[empty] * len(Observation._fields))
+def no_records(params: Params | None = None, staged: bool = False) -> Observation:
+    """An observation of no moment at all, with what a test with these parameters records, in stages or not."""
+    rough = params is not None and params.material.platen_friction is not None
+    there = {"", STAGES if staged else "", ROUGH if rough else ""}
+    absent = {name for name, about in RECORDS.items() if about.of not in there}
+    fields_of: dict[str, Any] = {name: None if name in absent else np.zeros(0) for name in Observation._fields}
+    return Observation(**fields_of)
 
 
 def warn_of_chatter(curve: Curve) -> None:
