@@ -73,11 +73,11 @@ class Contraction(Isotropic):
         speed = params.terms[-1].speed * (1 - jnp.exp(-params.background_damping * state.time))
         return (speed * (state.platens.mean() - state.platens)).astype(push.dtype)
 
-    def watch(self, seen, dtype):
+    def watch(self, seen, state):
         """What is missing of the stress on the platens; infinite where nothing has been seen."""
         missing = jnp.maximum(1 - LIGHT / BEARING * seen.stress_ratio, 0.0)
         missing = jnp.where(jnp.isfinite(seen.stress_ratio), missing, jnp.inf)
-        return Balance(seen.unbalanced_force, missing.astype(dtype))
+        return Balance(seen.unbalanced_force, missing)
 
     def going(self, watched, steps):
         return (watched.stress_error > 0) & (steps < self.most_steps)

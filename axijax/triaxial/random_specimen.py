@@ -10,7 +10,8 @@
 The last is the triaxial test's own confinement.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -22,104 +23,30 @@ from axijax.core.sector import Sector, plane_normals
 from axijax.core.vector import from_rows
 from axijax.mechanics.contacts import geometry
 from axijax.mechanics.dynamics import Scene, all_forces, positions
+from axijax.mechanics.hertz import Hertz
 from axijax.mechanics.linear import Linear
 from axijax.mechanics.membrane import Load, build_membrane, membrane_radius
 from axijax.mechanics.outer_balls import outer_balls
 from axijax.mechanics.params import Params, check_params
 from axijax.mechanics.rebuild import roomy_lists
 from axijax.mechanics.time_step import DEFAULT_STEP
+from axijax.mechanics.volume import void_ratio as below_skin
 from axijax.specimen.fabric import contact_statistics, inside_balls, measured, pairs_within, sample_points
-from axijax.specimen.grading import Fraction, Grading, linear
+from axijax.specimen.grading import Grading, linear
 from axijax.specimen.specimen import Specimen, check_positive
 from axijax.triaxial.compaction import Contraction
+from axijax.triaxial.density import SEEDS, bounds, library, sought
 from axijax.triaxial.feasible import check_feasible
+from axijax.triaxial.packing_report import PackingReport
 from axijax.triaxial.paths import Isotropic
 from axijax.triaxial.stages import settle
 from axijax.triaxial.uniformity import core_stress, trends
 
 BEYOND = 1.5  # mean radii by which the balls reach beyond Rm, once compacted
 LIGHTEST = 0.75  # radius of the ball that is as heavy as the lightest in compaction, over that of the mean volume
+STIFFEST = 3e-4  # softness s3 r/kn down to which compaction takes the stiffness of Hertzian balls
 # Radius of the core that no ball can reach, over the cloud's, above which it cannot contract alike in all directions.
 HOLLOW = 0.25
-DENSEST, LOOSEST = 0.02, 0.5  # compaction frictions between which a void ratio is sought
-
-
-@dataclass(frozen=True)
-class PackingReport:
-    """What a generated specimen has become; `print(report)` says it in words.
-
-    balls: in the full cylinder. grading: what was asked for. radii: (N,) of the sector's balls, rising [L].
-    sieves: (S, 3) radius [L], per cent passing by mass wanted and reached.
-    fractions: what each fraction of the grading was to have, and got; empty where it has none.
-    warnings: sentences.
-    membrane_radius: Rm, through the middle of the membrane zone; height: between the platens [L].
-    void_ratio: volume not in balls over volume in balls, in the cylinder of radius Rm between the platens (volume
-        pi Rm^2 H; of a ball that it cuts, the part inside) [-].
-    core_void_ratio: the same within Rm/2 and the middle 60 % of the height [-].
-    core_stress_ratio, core_contacts, core_stress_error: of that core, see `uniformity.CoreStress`.
-    void_ratio_trend, size_trend, size_trend_error: (2,) along radius and height, see `uniformity.Trends` [-].
-    coordination_number, mechanical_coordination_number, rattler_fraction, anisotropy: see `fabric.Contacts` [-].
-    compaction_friction: with which it was compacted [-].
-    unbalanced_force, stress_error: how well it is balanced, as at the end of a confinement [-].
-    steps: of the compaction. seed: of the random numbers.
-    """
-
-    balls: int
-    order: int
-    grading: str
-    radii: np.ndarray
-    sieves: np.ndarray
-    fractions: list[Fraction]
-    warnings: list[str]
-    membrane_radius: float
-    height: float
-    void_ratio: float
-    core_void_ratio: float
-    core_stress_ratio: float
-    core_contacts: int
-    core_stress_error: float
-    void_ratio_trend: tuple[float, float]
-    size_trend: tuple[float, float]
-    size_trend_error: tuple[float, float]
-    coordination_number: float
-    mechanical_coordination_number: float
-    rattler_fraction: float
-    anisotropy: float
-    compaction_friction: float
-    unbalanced_force: float
-    stress_error: float
-    steps: int
-    seed: int
-
-    @property
-    def deviation(self) -> float | None:
-        """By how much of the whole mass the worst fraction misses what was asked for; None without fractions [-]."""
-        return max((abs(each.got - each.wanted) for each in self.fractions), default=None)
-
-    def __str__(self) -> str:
-        sieves = "  ".join(f"{radius:.4g}: {wanted:.0f}/{got:.1f}" for radius, wanted, got in self.sieves)
-        return "\n".join(
-            [
-                f"random specimen, seed {self.seed}: {self.balls} balls, {self.radii.size} in a sector of order "
-                f"{self.order}",
-                f"  grading          {self.grading}; radius: % passing by mass, wanted/reached  {sieves}",
-                f"  size             Rm {self.membrane_radius:.4g}, H {self.height:.4g}, H/D "
-                f"{self.height / 2 / self.membrane_radius:.3f}",
-                f"  void ratio       {self.void_ratio:.4f} in pi Rm^2 H, {self.core_void_ratio:.4f} in the inner core",
-                f"  core             stress ratio {self.core_stress_ratio:.3f}, vertical over horizontal; 1 +- "
-                f"{self.core_stress_error:.3f} expected of {self.core_contacts} contacts",
-                f"  uniformity       void ratio {self.void_ratio_trend[0]:+.3f} outer less inner half, "
-                f"{self.void_ratio_trend[1]:+.3f} middle less ends; size {100 * self.size_trend[0]:+.1f} +- "
-                f"{100 * self.size_trend_error[0]:.1f} %, {100 * self.size_trend[1]:+.1f} +- "
-                f"{100 * self.size_trend_error[1]:.1f} %",
-                f"  coordination     {self.coordination_number:.3f}, mechanical "
-                f"{self.mechanical_coordination_number:.3f}, rattlers {100 * self.rattler_fraction:.1f} %",
-                f"  fabric           vertical minus horizontal {self.anisotropy:+.4f}",
-                f"  compaction       friction {self.compaction_friction:.4g}, {self.steps} steps, unbalanced force "
-                f"{self.unbalanced_force:.1e}, stress error {self.stress_error:.1e}",
-                *(f"  warning          {text}" for text in self.warnings),
-            ]
-        )
 
 
 def random_cylinder(
@@ -129,6 +56,7 @@ def random_cylinder(
     aspect_ratio: float = 2.0,
     compaction_friction: float = 0.05,
     void_ratio: float | None = None,
+    relative_density: float | None = None,
     void_ratio_tolerance: float = 0.005,
     seed: int = 0,
     params: Params | None = None,
@@ -145,11 +73,14 @@ def random_cylinder(
     aspect_ratio: height over 2 Rm, met to some 10 % [-].
     compaction_friction: between balls during compaction: 0.05 dense, 0.5 loose [-]. With none at all a packing is a
         little denser, but cannot bear the least difference between membrane and platens, and may never settle.
-    void_ratio: sought instead, by adjusting the compaction friction, to within void_ratio_tolerance [-].
+    void_ratio: sought instead, by adjusting the compaction friction, to within void_ratio_tolerance; the one below the
+        skin, `PackingReport.counted_void_ratio` [-].
+    relative_density: sought instead, 0 to 1 between the loosest and the densest packing of this grading, at this size
+        and confining stress, of seed 0; these are found once and kept, see `axijax.triaxial.density` [-].
     seed: of the random numbers; the same seed gives the same specimen to the last bit.
     params: stiffnesses, confining stress and density; None takes the defaults. Compaction has linear springs whatever
-        the law of the test, whose own confinement settles a Hertzian specimen: with the stiffness of glass compaction
-        would take twenty times as many steps.
+        the law of the test: for Hertzian balls springs that these press in as deeply at the confining stress, or as
+        stiff as softness STIFFEST says, since with those of glass compaction would take twenty times as many steps.
     tolerance: unbalanced force and stress error at which compaction ends [-]. most_steps: allowed for it.
 
     Raises ValueError for arguments that make no sense or are not supported (a fraction of the grading that gets no
@@ -175,12 +106,18 @@ def random_cylinder(
     if void_ratio is not None:
         check_positive("void_ratio", void_ratio)
     check_params(params, balls // sector.order)
-    if not hasattr(params, "normal_stiffness"):
-        params = replace(params, material=Linear(density=params.density))
+    if void_ratio is not None and relative_density is not None:
+        raise ValueError(
+            f"void_ratio = {void_ratio:g} and relative_density = {relative_density:g}: give one of them only."
+        )
+    if relative_density is not None and not 0 <= relative_density <= 1:
+        raise ValueError(f"relative_density = {relative_density!r}: must lie between 0 (loosest) and 1 (densest) [-].")
     radii = grading.sample(balls // sector.order)
+    if not hasattr(params, "normal_stiffness"):
+        params = replace(params, material=_springs(params, radii))
     told = check_feasible(grading, radii, params, balls)
 
-    def compacted(friction: float) -> tuple[Specimen, PackingReport]:
+    def compacted(friction: float, seed: int = seed) -> tuple[Specimen, PackingReport]:
         rng = np.random.default_rng(seed)
         # Near to what compaction will reach, so that it hardly changes the shape.
         loose = _grown(radii, sector, aspect_ratio, 0.6 - 0.1 * friction / (friction + 0.15), rng)
@@ -189,10 +126,16 @@ def random_cylinder(
         known = {"fractions": grading.fractions(radii), "warnings": told, "sieves": _sieves(grading, radii)}
         return cut, replace(report, grading=grading.name, seed=seed, **known)
 
-    if void_ratio is None:
-        cut, report = compacted(compaction_friction)
+    if relative_density is not None:
+        made_from = [balls, sector, list(grading.radii), list(grading.share), aspect_ratio, params, tolerance]
+        known = bounds(partial(compacted, seed=0), made_from, library())
+        wanted, said = known.void_ratio(relative_density), f"relative_density = {relative_density:g}"
+        cut, report = sought(compacted, wanted, void_ratio_tolerance, f"{said}, void ratio {wanted:.4f}", SEEDS)
+        report = replace(report, bounds=known)
+    elif void_ratio is not None:
+        cut, report = sought(compacted, void_ratio, void_ratio_tolerance, f"void_ratio = {void_ratio:g}")
     else:
-        cut, report = _sought(compacted, void_ratio, void_ratio_tolerance)
+        cut, report = compacted(compaction_friction)
     return _whole_cylinder(cut, sector), report
 
 
@@ -201,35 +144,6 @@ def platen_speed(inertial_number: float, specimen: Specimen, params: Params) -> 
     check_positive("inertial_number", inertial_number)
     of_unit_rate = theory.inertial_number(1.0, specimen.radius.mean(), params.density, params.confining_stress)
     return float(inertial_number / of_unit_rate * specimen.height / 2)
-
-
-def _sought(compacted, void_ratio: float, tolerance: float):
-    """A packing of this void ratio: regula falsi in the compaction friction, which the void ratio rises with."""
-    low, high = DENSEST, LOOSEST
-    ends = compacted(low), compacted(high)
-    below, above = (report.void_ratio for _, report in ends)
-    if not below - tolerance <= void_ratio <= above + tolerance:
-        raise ValueError(
-            f"void_ratio = {void_ratio:g}: this grading, size and seed reach {below:.4f} (compaction friction {low:g}) "
-            f"to {above:.4f} ({high:g}); ask for one between."
-        )
-    best = min(ends, key=lambda end: abs(end[1].void_ratio - void_ratio))
-    for trial in range(10):
-        if abs(best[1].void_ratio - void_ratio) <= tolerance:
-            return best
-        # The rise is steep at small frictions: every second trial halves the interval.
-        weight = 0.5 if trial % 2 else np.clip((void_ratio - below) / max(above - below, 1e-12), 0.1, 0.9)
-        friction = low + weight * (high - low)
-        now = compacted(friction)
-        if now[1].void_ratio < void_ratio:
-            low, below = friction, now[1].void_ratio
-        else:
-            high, above = friction, now[1].void_ratio
-        best = min((best, now), key=lambda end: abs(end[1].void_ratio - void_ratio))
-    raise ValueError(
-        f"void_ratio = {void_ratio:g}: the nearest that was reached in 12 compactions is {best[1].void_ratio:.4f}; "
-        f"allow a void_ratio_tolerance above {abs(best[1].void_ratio - void_ratio):.4f}, or take another seed."
-    )
 
 
 def _hollow(mean: float, sector: Sector) -> float:
@@ -331,7 +245,7 @@ def _compacted(loose: Specimen, sector: Sector, params: Params, path: Isotropic)
     )
     rm = float(membrane_radius(build_membrane(cut, sector), from_rows(place)))
     middle, height = (top + bottom) / 2, top - bottom
-    contacts = contact_statistics(cut, sector)
+    contacts, whole = contact_statistics(cut, sector), _void_ratio(cut, sector, rm, bottom, top)
     trend = trends(cut, sector, rm)
     at_rest = path.params(params, network, membrane, state.platens)
     forces = all_forces(path.scene(Scene()), at_rest, network, Load(jnp.zeros(len(cut)), jnp.ones(())), dt, state)
@@ -348,7 +262,9 @@ def _compacted(loose: Specimen, sector: Sector, params: Params, path: Isotropic)
         warnings=[],
         membrane_radius=rm,
         height=height,
-        void_ratio=_void_ratio(cut, sector, rm, bottom, top),
+        void_ratio=whole,
+        counted_void_ratio=_counted(cut, sector) or whole,
+        bounds=None,
         core_void_ratio=_void_ratio(cut, sector, rm / 2, middle - 0.3 * height, middle + 0.3 * height),
         core_stress_ratio=stress.ratio,
         core_contacts=stress.contacts,
@@ -384,6 +300,27 @@ def _void_ratio(cut: Specimen, sector: Sector, radius: float, bottom: float, top
     """Infinite where there is no ball, as in the core of a narrow sector of few balls."""
     solid = float(inside_balls(sample_points(sector, radius, bottom, top), cut, sector).mean())
     return (1 - solid) / solid if solid > 0 else np.inf
+
+
+def _counted(cut: Specimen, sector: Sector) -> float | None:
+    """Void ratio below the skin, None where the specimen has no inside."""
+    found = jax.jit(below_skin, static_argnums=3)(
+        from_rows(cut.positions), jnp.asarray(cut.radius), jnp.ones(len(cut)), sector, jnp.array([cut.bottom, cut.top])
+    )
+    return float(found) if found > 0 else None
+
+
+def _springs(params: Params, radii: np.ndarray) -> Linear:
+    """Linear springs for the compaction of balls of another law."""
+    if not isinstance(params.material, Hertz):
+        return Linear(density=params.density)
+    stress, mean = float(params.confining_stress), radii.mean()
+    # Mean force of a contact where each ball has five of them, see `hertz.confined_force`; a Hertzian contact is 2/3 as
+    # stiff over all of its overlap as at the end of it.
+    tangent = params.material.tangent_stiffness(mean / 2, 4.1 * stress * mean**2)
+    normal, shear = ((2 / 3) * float(k) for k in tangent)
+    less = min(1.0, stress * mean / STIFFEST / normal)
+    return Linear(density=params.density, normal_stiffness=less * normal, shear_stiffness=less * shear)
 
 
 def _sieves(grading: Grading, radius: np.ndarray) -> np.ndarray:
