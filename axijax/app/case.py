@@ -42,6 +42,7 @@ from axijax.app.case_reading import nearest, read_toml, sentence
 from axijax.app.case_stages import HELP, StageCase
 from axijax.core.quantity import settings
 from axijax.core.sector import Sector
+from axijax.mechanics.hertz import Hertz
 from axijax.mechanics.params import Params
 from axijax.specimen.specimen import Specimen, fcc_cylinder, fcc_octagon, lattice_cylinder
 from axijax.triaxial.test import TriaxialTest
@@ -66,7 +67,7 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
     "random": (
         (
             "balls", "smallest_radius", "largest_radius", "grading", "aspect_ratio", "compaction_friction",
-            "void_ratio", "seed",
+            "void_ratio", "relative_density", "seed",
         ),
         (),  # made for the sector, whatever its order
     ),
@@ -122,7 +123,15 @@ class SpecimenCase(Section):
     void_ratio: float | None = Field(
         None,
         gt=0,
-        description="void ratio sought in place of compaction_friction, to 0.005, in up to twelve compactions [-]",
+        description="void ratio sought in place of compaction_friction, to 0.005, in up to twelve compactions; the one "
+        "that a test's records begin with, counted below the skin [-]",
+    )
+    relative_density: float | None = Field(
+        None,
+        ge=0,
+        le=1,
+        description="sought in place of compaction_friction, between the loosest (0) and the densest (1) packing of "
+        "this grading and size at this confining stress, which are found once and kept [-]",
     )
     seed: int = Field(0, ge=0, lt=2**63, description="of the random numbers [-]")
     path: str = Field(
@@ -136,6 +145,10 @@ class SpecimenCase(Section):
         taken = KINDS[self.kind][0]
         for name in self.model_fields_set - {"kind", *taken}:
             raise ValueError(f"{name} does not belong to kind = '{self.kind}', which takes {', '.join(taken)}")
+        if self.void_ratio is not None and self.relative_density is not None:
+            raise ValueError(
+                f"void_ratio = {self.void_ratio:g}, relative_density = {self.relative_density:g}: give one of them only"
+            )
         return self
 
     @model_validator(mode="after")
@@ -171,7 +184,7 @@ class SpecimenCase(Section):
 
 
 if TYPE_CHECKING:
-    from axijax.triaxial.random_specimen import PackingReport
+    from axijax.triaxial.packing_report import PackingReport
 
 if TYPE_CHECKING:  # mypy cannot see the fields of classes made while running
 
@@ -259,7 +272,8 @@ class Case(Section):
                 own = self.parameters.friction if self.scene.friction else 0.0
                 return self.with_test(confining_friction=own), self.specimen.build(), None
             return self, self.specimen.build(), None
-        wanted = {"normal_stiffness", "shear_stiffness", "confining_stress", "density", "damping_ratio"}
+        stiffness = {"normal_stiffness", "shear_stiffness", "shear_modulus", "poisson_ratio"}
+        wanted = {*stiffness, "confining_stress", "density", "damping_ratio"}
         material = self.parameters.model_dump(include=wanted & set(self.scene.takes()))
         specimen, report = _packed(
             self.specimen.model_dump_json(), self.sector.model_dump_json(), tuple(material.items())
@@ -297,8 +311,9 @@ def _packed(specimen: str, sector: str, material: tuple[tuple[str, Any], ...]) -
         )
     grading = linear(smallest, largest) if path is None else sieve_curve(path)
     ours = Sector(**SectorCase.model_validate_json(sector).model_dump())
+    params = Params(Hertz() if "shear_modulus" in dict(material) else None, **dict(material))
     try:
-        return random_cylinder(sector=ours, grading=grading, params=Params(**dict(material)), **options)
+        return random_cylinder(sector=ours, grading=grading, params=params, **options)
     except RuntimeError as error:
         told = str(error).rpartition(": ")[0]  # its own remedy is for callers of the function
         raise RuntimeError(

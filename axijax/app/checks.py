@@ -16,6 +16,7 @@ from axijax.triaxial.engine import STALE
 from axijax.triaxial.peak import Peak, at_peak, peak_of
 from axijax.triaxial.records import CHATTER
 from axijax.triaxial.test import TriaxialTest
+from axijax.triaxial.uniformity import ISOTROPIC, SCATTERS
 
 # Axial strain over which the energy ledger is kept, where it is asked for.
 LEDGER_STRAIN = 5e-4
@@ -128,18 +129,30 @@ def _peak_check(peak: Peak) -> Check:
 
 
 def _packing_checks(result: Result) -> list[Check]:
-    """Whether a random specimen's balls have the masses that the sieves of its grading ask for."""
+    """Whether a random specimen's balls have the masses that the sieves of its grading ask for, and whether it was
+    isotropic and uniform when the shear began."""
     packing = result.info.get("packing")
-    deviation = packing.get("deviation") if isinstance(packing, dict) else None
-    if deviation is None:
+    if not isinstance(packing, dict):
         return []
-    return [
-        _at_most(
-            "grading met", deviation, WELL_MET,
-            "by how much of the whole mass the worst fraction between two sieves misses what was asked for: more balls "
-            "meet it better",
-        )
-    ]  # fmt: skip
+    checks = []
+    if packing.get("deviation") is not None:
+        checks.append(
+            _at_most(
+                "grading met", packing["deviation"], WELL_MET,
+                "by how much of the whole mass the worst fraction between two sieves misses what was asked for: more "
+                "balls meet it better",
+            )
+        )  # fmt: skip
+    error, core = packing.get("core_stress_error"), float(result.curve.core_ratio[0])
+    if error is not None and np.isfinite(error) and np.isfinite(core):
+        checks.append(
+            _at_most(
+                "core isotropic when shear begins", abs(core - 1), ISOTROPIC + SCATTERS * error,
+                f"vertical over horizontal stress of the inner core is {core:.3f}; of {packing['core_contacts']} "
+                f"contacts 1 +- {error:.2g} is expected: allowed are {ISOTROPIC:g} and {SCATTERS:g} times that",
+            )
+        )  # fmt: skip
+    return checks
 
 
 def _radius_limit(test: TriaxialTest | None, radius: float) -> float:

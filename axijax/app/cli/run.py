@@ -13,7 +13,7 @@ import typer
 from axijax.app.cli.errors import INTERRUPTED, complain
 
 if TYPE_CHECKING:
-    from axijax.triaxial.random_specimen import PackingReport
+    from axijax.triaxial.packing_report import PackingReport
     from axijax.triaxial.test import Progress, Run, TriaxialTest
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON object a line on standard output, for programs.")]
