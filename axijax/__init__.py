@@ -31,6 +31,7 @@ if _TYPE_CHECKING:
     from axijax.mechanics.params import Params
     from axijax.mechanics.rolling import Rolling, Torsion
     from axijax.specimen.specimen import Specimen, fcc_cylinder, fcc_octagon
+    from axijax.triaxial.own_packing import packing, packing_of
     from axijax.triaxial.prepare import Prepared, prepare
     from axijax.triaxial.random_specimen import platen_speed, random_cylinder
     from axijax.triaxial.records import Curve, SimulationError, find_peak, raise_for_status
@@ -50,6 +51,7 @@ _HOMES = {
     "mechanics.params": ("Params",),
     "mechanics.rolling": ("Rolling", "Torsion"),
     "specimen.specimen": ("Specimen", "fcc_cylinder", "fcc_octagon"),
+    "triaxial.own_packing": ("packing", "packing_of"),
     "triaxial.prepare": ("Prepared", "prepare"),
     "triaxial.random_specimen": ("platen_speed", "random_cylinder"),
     "triaxial.records": ("Curve", "SimulationError", "find_peak", "raise_for_status"),
@@ -81,6 +83,8 @@ __all__ = [
     "fcc_cylinder",
     "fcc_octagon",
     "find_peak",
+    "packing",
+    "packing_of",
     "platen_speed",
     "prepare",
     "raise_for_status",

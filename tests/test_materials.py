@@ -1,6 +1,8 @@
 """The parameters of a test as a tree of parts: read and replaced by name, refused where they would do nothing, and
 nothing compiled for what is not there."""
 
+import copy
+import pickle
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -10,7 +12,18 @@ import numpy as np
 import pytest
 from few_balls import SCENE, Pull, few_balls, hertz_params, no_load, record, run, unit_params
 
-from axijax import BackgroundDamping, Dashpot, Hertz, Linear, LocalDamping, Params, Sector, Specimen
+from axijax import (
+    BackgroundDamping,
+    Dashpot,
+    Hertz,
+    Linear,
+    LocalDamping,
+    Params,
+    Sector,
+    Specimen,
+    TriaxialTest,
+    fcc_octagon,
+)  # fmt: skip
 from axijax.core.quantity import present, quantity
 from axijax.core.tree import pytree
 from axijax.mechanics.contact_list import build_contact_list
@@ -230,3 +243,12 @@ def test_a_material_from_outside_is_a_material():
     states = record(replace(params, swelling=9.0), network, no_load(network), 2e-3, state, 500)
     overlap = np.asarray(states.displacement.x[:, 0] - states.displacement.x[:, 1]).max()
     assert overlap == pytest.approx(float(impact_maximum_overlap(1e-3, 0.5, 9.0)), rel=1e-4)
+
+
+def test_a_test_goes_through_pickle_and_copy():
+    """As executors of processes and of other machines send it."""
+    test = TriaxialTest(fcc_octagon(layers=3, half_width=3), Sector(4), params=Params(rolling_friction=0.1))
+    step = test.prepared.time_step
+    for again in (pickle.loads(pickle.dumps(test)), copy.deepcopy(test)):
+        assert again.params == test.params and again.prepared.time_step == step
+        assert jax.tree.structure(again.params) == jax.tree.structure(test.params)

@@ -228,12 +228,13 @@ def test_a_safe_step_of_the_tests_parameters_is_not_one_of_others():
 def peak(damping, step, friction, boundary="periodic", axial_strain=0.006):
     """Peak stress ratio of the paper's quarter at a step in sqrt(m/K), and the error that was raised, if any.
 
-    Any warning, such as that of chatter before the peak, is an error here.
+    Any warning, such as that of chatter before the peak, is an error here. Past the peak the platens go three times as
+    fast: what can chatter then moves more.
     """
     test = TriaxialTest(
         fcc_octagon(),
         Sector(4, boundary),
-        params=Params(friction=friction, damping=damping),
+        params=Params(friction=friction, damping=damping, platen_speed=0.01 if axial_strain < 0.01 else 0.03),
         axial_strain=axial_strain,
         time_step=step * UNIT,
         tolerance=1e-5,
@@ -274,7 +275,6 @@ def test_the_guard_catches_the_silent_wrong_peaks(damping, step, friction):
 @pytest.mark.parametrize(
     ("damping", "step", "friction", "boundary", "axial_strain"),
     [
-        (LocalDamping(), 0.17, 0.3, "periodic", 0.006),
         (LocalDamping(), 0.24, 0.3, "periodic", 0.006),
         (LocalDamping(), 0.25, 0.05, "periodic", 0.006),
         (LocalDamping(), 0.25, 0.12278, "periodic", 0.05),

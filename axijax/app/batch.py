@@ -16,6 +16,7 @@ import itertools
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -35,6 +36,7 @@ from axijax.app.batch_files import (
     write_member,
     write_summary,
 )
+from axijax.app.executors import spread
 from axijax.core.parallel import cores, parallel
 from axijax.core.quantity import declared, optional_parts, parts_of, values_of
 from axijax.mechanics.params import Params, check_params
@@ -143,6 +145,7 @@ def run_batch(
     finished: Callable[[Outcome], object] | None = None,
     strategy: Strategy = "auto",
     workers: int | None = None,
+    executor: Executor | None = None,
 ) -> BatchResult:
     """Run many tests; a member that fails is reported and the others are kept.
 
@@ -153,12 +156,15 @@ def run_batch(
     strategy: "threads", each test by itself on a core; "vmap", tests of equal shape together; "auto" takes threads on
         a CPU and vmap on anything else.
     workers: threads; None takes one a core with "threads", and one a device with "vmap".
+    executor: any `concurrent.futures.Executor`, whose processes or machines run the tests one by one in place of
+        `strategy` and `workers`; `progress` is not called then.
 
     Under `jax.distributed`, process p of P takes every P-th member, from the p-th, and returns its own;
     `open_batch` reads all of them from the folder.
 
     Raises ValueError for names that are not unique, and for a folder that cannot be written or that holds a member of
-    that name of another test, other parameters or another version.
+    that name of another test, other parameters or another version. RuntimeError where the executor broke; what was
+    done by then is in the folder.
     """
     chosen = list(members)
     _check_names([member.name for member in chosen])
@@ -196,22 +202,30 @@ def run_batch(
             todo.append(member)
         else:
             done(Outcome(member, found.curve, None, found.seconds, resumed=True))
-    if strategy == "threads":
-        tasks, work, workers = [[member] for member in todo], partial(_each, tell=tell, done=done), workers or cores()
-        devices = None
-    else:
-        devices = jax.local_devices()
-        tasks, work = _chunks(todo), partial(_together, tell=tell, done=done)
-        workers = workers or len(devices)
 
     def give_up(_: int, result: object) -> None:
         if isinstance(result, Exception):  # such as a full disk; a member's own failure does not get here
             raise result
 
-    parallel(work, tasks, workers, give_up, stop, devices)
+    if executor is not None:
+        own = {member.name: member for member in todo}  # what comes back holds copies
+        spread(executor, _elsewhere, todo, lambda outcome: done(replace(outcome, member=own[outcome.member.name])))
+    elif strategy == "threads":
+        work = partial(_each, tell=tell, done=done)
+        parallel(work, [[member] for member in todo], workers or cores(), give_up, stop)
+    else:
+        work, devices = partial(_together, tell=tell, done=done), jax.local_devices()
+        parallel(work, _chunks(todo), workers or len(devices), give_up, stop, devices)
     if store is not None:
         write_summary(store)
     return BatchResult(tuple(outcomes[member.name] for member in mine))
+
+
+def _elsewhere(member: Member) -> Outcome:
+    """Run one member in a process of an executor; its curve as plain arrays."""
+    outcomes: list[Outcome] = []
+    _each([member], lambda name, share, ratio: None, outcomes.append)
+    return replace(outcomes[0], curve=jax.tree.map(np.asarray, outcomes[0].curve))
 
 
 class _Stopped(BaseException):

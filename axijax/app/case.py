@@ -42,6 +42,9 @@ LEAST, MOST = 1e-30, 1e30
 # minute and a half before their first step.
 MOST_BALLS = 200_000
 
+# Kinds of specimen whose balls a result keeps, since the case alone does not give them again to the last bit.
+GIVEN = ("random", "file")
+
 # The fields that a kind of specimen takes, and the orders of sector that fit it.
 KINDS: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
     "octagon": (("radius", "layers", "half_width"), (1, 2, 4)),
@@ -56,10 +59,14 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
         ),
         (),  # made for the sector, whatever its order
     ),
+    "file": (("path",), ()),  # what fits depends on the balls
 }  # fmt: skip
 
 # Fields that a file may leave to the specimen.
-LEFT_OUT = {"confining_friction": "left out: none, but for a random specimen that of its compaction"}
+LEFT_OUT = {
+    "confining_friction": "left out: none, but for a random specimen that of its compaction, and for a packing from a "
+    "file that of the test"
+}
 
 
 def _section(name: str, source: type) -> Any:
@@ -81,9 +88,10 @@ def _section(name: str, source: type) -> Any:
 class SpecimenCase(Section):
     """The specimen, a full cylinder from which the sector is cut."""
 
-    kind: Literal["octagon", "fcc", "bcc", "hcp", "sc", "random"] = Field(
+    kind: Literal["octagon", "fcc", "bcc", "hcp", "sc", "random", "file"] = Field(
         "octagon",
-        description="packing: FCC of octagonal section (the paper's), a circular cylinder of a lattice, random",
+        description="packing: FCC of octagonal section (the paper's), a circular cylinder of a lattice, random, or "
+        "your own from a file",
     )
     radius: float = Field(20.0, gt=0, description="ball radius [L]")
     layers: int = Field(25, ge=1, le=10_000, description="number of horizontal layers [-]")
@@ -113,6 +121,11 @@ class SpecimenCase(Section):
         description="void ratio sought in place of compaction_friction, to 0.005, in up to twelve compactions [-]",
     )
     seed: int = Field(0, ge=0, lt=2**63, description="of the random numbers [-]")
+    path: str = Field(
+        "balls.csv",
+        description="file of balls, with columns x, y, z and radius (CSV, or NetCDF with such variables) [L]; the "
+        "cylinder's axis is x = y = 0",
+    )
 
     @model_validator(mode="after")
     def _takes(self) -> "SpecimenCase":
@@ -128,7 +141,7 @@ class SpecimenCase(Section):
         else:
             ratio = self.specimen_radius / self.radius  # a power would raise OverflowError where a product is infinite
             across, fields = 0.91 * ratio * ratio, "specimen_radius, or a larger radius"
-        if self.kind != "random" and across * self.layers > MOST_BALLS:
+        if self.kind not in GIVEN and across * self.layers > MOST_BALLS:
             raise ValueError(
                 f"kind = '{self.kind}' of {self.layers} layers would hold some {across * self.layers:.2g} balls: at "
                 f"most {MOST_BALLS:,} are allowed; take fewer layers or a smaller {fields}"
@@ -140,12 +153,16 @@ class SpecimenCase(Section):
         return {name: value for name, value in dump(self).items() if name in ("kind", *KINDS[self.kind][0])}
 
     def build(self) -> Specimen:
-        """A lattice's specimen."""
+        """A lattice's specimen, or that of a file."""
         options = {name: getattr(self, name) for name in KINDS[self.kind][0]}
         if self.kind == "octagon":
             return fcc_octagon(**options)
         if self.kind == "fcc":
             return fcc_cylinder(**options)
+        if self.kind == "file":
+            from axijax.triaxial.own_packing import packing
+
+            return packing(self.path)
         return lattice_cylinder(self.kind, **options)
 
 
@@ -210,14 +227,17 @@ class Case(Section):
             for name, value in values:
                 if isinstance(value, float) and value != 0 and math.isfinite(value) and not LEAST <= abs(value) <= MOST:
                     raise ValueError(f"{section}.{name} = {value:g}: must lie between {LEAST:g} and {MOST:g} in size.")
+        friction = self.test.confining_friction
         if self.specimen.kind != "random":
+            if self.specimen.kind == "file" and friction is None:
+                own = self.parameters.friction if self.scene.friction else 0.0
+                return self.with_test(confining_friction=own), self.specimen.build(), None
             return self, self.specimen.build(), None
         wanted = {"normal_stiffness", "shear_stiffness", "confining_stress", "density", "damping_ratio"}
         material = self.parameters.model_dump(include=wanted & set(self.scene.takes()))
         specimen, report = _packed(
             self.specimen.model_dump_json(), self.sector.model_dump_json(), tuple(material.items())
         )
-        friction = self.test.confining_friction
         case = self.with_test(confining_friction=report.compaction_friction if friction is None else friction)
         return case, specimen, report
 
@@ -269,9 +289,9 @@ def default_case(kind: str = "octagon") -> Case:
         near = nearest(kind, KINDS)
         raise ValueError(f"kind = '{kind}': must be one of {', '.join(KINDS)}{f'; {near}' if near else '.'}")
     sections: dict[str, Any] = {"specimen": {"kind": kind}}
-    if kind == "random":
+    if kind in GIVEN:
         # So few balls find no room in the tip of a quarter; a soil's friction; a balance that such a packing can reach.
-        sections["sector"], sections["parameters"] = {"order": 2}, {"friction": 0.4}
+        sections["sector"], sections["parameters"] = {"order": 2 if kind == "random" else 1}, {"friction": 0.4}
         sections["test"] = {"tolerance": 1e-3, "confine_steps": 100_000, "axial_strain": 0.05}
     elif 4 not in KINDS[kind][1]:
         sections["sector"] = {"order": max(KINDS[kind][1])}
@@ -345,11 +365,12 @@ def load_case(path: Path | str) -> Case:
 
 def make_case(data: dict, source: str) -> Case:
     """A case from what a file called `source` holds. Raises ValueError like `load_case`."""
-    specimen = data.get("specimen")
-    if isinstance(specimen, dict) and isinstance(specimen.get("grading"), str):  # beside the case file
-        data = data | {"specimen": specimen | {"grading": str(Path(source).absolute().parent / specimen["grading"])}}
-        if "\0" in specimen["grading"]:
-            raise ValueError(f"case file '{source}': specimen.grading holds a zero byte: it must name a file.")
+    for name in ("grading", "path"):  # files that lie beside the case file
+        specimen = data.get("specimen")
+        if isinstance(specimen, dict) and isinstance(specimen.get(name), str):
+            data = data | {"specimen": specimen | {name: str(Path(source).absolute().parent / specimen[name])}}
+            if "\0" in specimen[name]:
+                raise ValueError(f"case file '{source}': specimen.{name} holds a zero byte: it must name a file.")
     known = {name: model for name, (model, _) in SECTIONS.items()}
     try:
         return Case.model_validate(data)

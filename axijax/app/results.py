@@ -132,13 +132,14 @@ class Result:
 
     @cached_property
     def test(self) -> TriaxialTest:
-        """The test, built again from the case, with the random specimen that was tested. Raises ValueError as `case`
-        does, or where that specimen is lost.
+        """The test, built again from the case, with the very balls that were tested where they are random or from a
+        file. Raises ValueError as `case` does, or where that specimen is lost.
         """
+        from axijax.app.case import GIVEN
         from axijax.app.specimen_file import NAME, load_specimen
 
-        random = self.case.specimen.kind == "random"
-        return self.case.build(load_specimen(self.path / NAME, self.case) if random else None)
+        given = self.case.specimen.kind in GIVEN
+        return self.case.build(load_specimen(self.path / NAME, self.case) if given else None)
 
     @property
     def has_state(self) -> bool:

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from axijax.app import results
-from axijax.app.case import Case, load_case, to_toml
+from axijax.app.case import GIVEN, Case, load_case, to_toml
 from axijax.app.overwrite import CURVES, clear, refuse_to_lose
 from axijax.app.results import curves_dataset, save_dataset, save_run
 from axijax.app.specimen_file import NAME, load_specimen, save_specimen
@@ -97,7 +97,7 @@ def run_case(
         info |= {"started": _now(), "seconds": 0.0, "resumed": 0, "axial_strain": 0.0, "snapshots": snapshots}
         if report is not None:
             info["packing"] = packing_values(report)
-        return _run(folder, case, test, None, info, tell, None if report is None else specimen)
+        return _run(folder, case, test, None, info, tell, specimen if case.specimen.kind in GIVEN else None)
 
 
 def resume(folder: Path, tell: Tell = lambda test, now: None, axial_strain: float | None = None) -> Run:
@@ -112,7 +112,7 @@ def resume(folder: Path, tell: Tell = lambda test, now: None, axial_strain: floa
         case = load_case(folder / "case.toml")
         strain = _strain_wanted(folder, info, case.test.axial_strain, axial_strain)
         case = case.with_test(axial_strain=strain)
-        test = case.build(load_specimen(folder / NAME, case) if case.specimen.kind == "random" else None)
+        test = case.build(load_specimen(folder / NAME, case) if case.specimen.kind in GIVEN else None)
         checkpoint = folder / "checkpoint.npz"
         start = load_progress(checkpoint, test) if checkpoint.exists() else None
         if start is None and info["status"] == "finished":

@@ -32,7 +32,7 @@ class Material:
 
     friction: jax.Array | float | None = quantity(
         0.12278,
-        "Coulomb coefficient between balls; none: no tangential forces",
+        "Coulomb coefficient between balls; a scene without friction has none",
         "-",
         symbols=("f", "mu"),
         coordinate="logit",
@@ -42,7 +42,7 @@ class Material:
     density: jax.Array | float = quantity(2000.0, "density of the balls", "M/L^3", above=0.0, symbols=("rho",))
     platen_friction: jax.Array | float | None = quantity(
         None,
-        "Coulomb coefficient between balls and platens; none: smooth, inf: glued",
+        "Coulomb coefficient between balls and platens; left out: smooth, inf: glued",
         "-",
         infinite=True,
         optional=True,

@@ -60,10 +60,11 @@ class Params:
             object.__setattr__(self, name, value)
 
     def __getattr__(self, name: str) -> Any:
-        if not name.startswith("_") and "material" in vars(self):
-            for part in parts_of((self.material, self.terms)):
-                if name in part.__dataclass_fields__:
-                    return getattr(part, name)
+        if name.startswith("_") or "terms" not in vars(self):  # as pickle and copy ask of an object without fields
+            raise AttributeError(name)
+        for part in parts_of((self.material, self.terms)):
+            if name in part.__dataclass_fields__:
+                return getattr(part, name)
         raise AttributeError(f"these parameters have no '{name}'; they have {', '.join(present(self))}")
 
 

@@ -1,5 +1,6 @@
 """`axijax batch`: a case file with lists, run as a batch."""
 
+import contextlib
 import itertools
 import math
 from pathlib import Path
@@ -20,6 +21,13 @@ def batch(
     sweep: Annotated[Path, typer.Argument(help="Case file (TOML) with a table named sweep, of lists.")],
     output: Annotated[Path, typer.Option(help="Folder for the curves and the table.")] = Path("batch"),
     workers: Annotated[int | None, typer.Option(min=1, help="Tests at a time; left out: one a core.")] = None,
+    executor: Annotated[
+        str | None,
+        typer.Option(
+            help="Who runs the tests: 'processes', 'processes:4', or 'dask://HOST:PORT' for a running Dask scheduler.",
+            show_default="threads of this process",
+        ),
+    ] = None,
 ) -> None:
     """Run all combinations of the lists in a case file's sweep table, such as parameters.friction = [0.1, 0.2].
 
@@ -30,8 +38,11 @@ def batch(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from axijax.app.batch import Outcome, run_batch
+    from axijax.app.executors import open_executor
     from axijax.core.files import writable_folder
 
+    if workers is not None and executor is not None:
+        raise ValueError("--workers are threads of this process: with --executor write 'processes:4' for four of them.")
     members = load_sweep(sweep)
     folder = writable_folder(output)
     console = Console()
@@ -58,8 +69,10 @@ def batch(
             bars.update(whole, completed=ended + sum(shares.values()))
             console.print(_line(outcome), highlight=False, soft_wrap=True, markup=False)
 
-        with filling(folder, "run it again, and what is there is not computed again"):
-            result = run_batch(members, folder, advance, tell, workers=workers)
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(filling(folder, "run it again, and what is there is not computed again"))
+            pool = None if executor is None else stack.enter_context(open_executor(executor))
+            result = run_batch(members, folder, advance, tell, workers=workers, executor=pool)
     console.print(
         f"{len(result.curves)} of {len(members)} tests done. Written: {folder / 'summary.csv'}, {folder / 'members'}",
         highlight=False, soft_wrap=True,

@@ -12,7 +12,7 @@ from axijax.app.cli.batch import batch
 from axijax.app.cli.check import check
 from axijax.app.cli.errors import complain, filling, guarded
 from axijax.app.cli.run import new, resume, run
-from axijax.app.cli.show import plot, report, snapshot
+from axijax.app.cli.show import cite, plot, report, snapshot
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -171,6 +171,7 @@ COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
     snapshot: ("axijax snapshot results/first", "axijax snapshot results/first --full"),
     batch: ("axijax batch sweep.toml", "axijax batch sweep.toml --output strengths --workers 2"),
     calibrate: ("axijax calibrate measured.csv", "axijax calibrate measured.csv --fit friction,kn --case first.toml"),
+    cite: ("axijax cite", "axijax cite results/first"),
     table1: ("axijax table1", "axijax table1 --output paper"),
 }
 for command, examples in COMMANDS.items():

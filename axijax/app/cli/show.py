@@ -1,4 +1,4 @@
-"""Commands that show what a run has left: plot, report, snapshot. Heavy imports happen inside the commands."""
+"""Commands that show what a run has left: plot, report, snapshot, cite. Heavy imports happen inside the commands."""
 
 from pathlib import Path
 from typing import Annotated
@@ -99,6 +99,19 @@ def snapshot(
     with filling(folder, AGAIN):
         paths = SnapshotWriter(folder, opened.test, full)(progress)
     _tell(paths)
+
+
+def cite(
+    result: Annotated[
+        Path | None,
+        typer.Argument(metavar="[RESULT]", help="Folder of a run: what it used is cited too.", show_default=False),
+    ] = None,
+) -> None:
+    """Print what to cite as BibTeX: this version, the method's papers, and those of what a run used."""
+    from axijax.app.cite import bibtex
+    from axijax.app.results import open_result
+
+    print(bibtex(None if result is None else open_result(result).test), end="")
 
 
 def _open(paths: list[Path]):
