@@ -8,7 +8,16 @@ from importlib import import_module
 
 _PLACES = {
     "targets": ("Datum", "HardPeak", "InitialSlope", "RatioAt", "SmoothPeak", "StrainAtPeak", "WindowMean"),
-    "measured": ("DataError", "MeasuredCurve", "ROWE", "RoweTest"),
+    "functionals": (
+        "E50",
+        "FrictionAngle",
+        "MaxDilatancy",
+        "StressDilatancy",
+        "VoidRatioAt",
+        "VolumeAt",
+        "rowe_constant",
+    ),
+    "measured": ("DataError", "MeasuredCurve", "ROWE", "RoweTest", "read_measured"),
     "parameters": ("ParameterSet", "Prior"),
     "model": ("Cost", "Model", "RunFailed", "jacobian_of", "stretch_tangent"),
     "gradients": ("Gradient", "Health", "gradient", "gradient_health"),
@@ -18,6 +27,10 @@ _PLACES = {
     "result": ("Fit",),
     "secant": ("fit_friction_to_peak", "fit_one"),
     "descent": ("fit_by_descent", "fit_friction_per_ball"),
+    "scene": ("RandomScene",),
+    "library": ("Library", "library_folder"),
+    "study": ("LABORATORY", "StudyTest", "fit_study"),
+    "study_result": ("StudyFit",),
     "file": ("calibrate_file",),
 }
 _HOME = {name: module for module, names in _PLACES.items() for name in names}

@@ -17,6 +17,7 @@ EARLY_DILATION = -0.2  # mean volumetric over mean axial strain up to half rise;
 CONTRACTION, DILATION, NO_VOLUME = 1.25, 2.0, 0.01  # volumetric over axial strain; above 1 the sides would move in
 UNEVEN = 0.05  # of the confining stress, which the simulation holds at one value
 PADDING = 5  # last rows that repeat one another exactly
+COARSE = 0.005  # smallest step of R, of its rise
 
 
 @dataclass(frozen=True)
@@ -29,14 +30,16 @@ class ConfiningStress:
     def __str__(self) -> str:
         return f"{self.value:g} Pa" if self.in_pascal else f"{self.value:g} (no known unit)"
 
-    def uneven(self, values: np.ndarray) -> tuple[str, ...]:
-        """A sentence where the (M,) values of the file are not all near the median."""
+    def uneven(self, values: np.ndarray, made_of: str = "") -> tuple[str, ...]:
+        """A sentence where the (M,) values of the file are not all near the median. made_of: the columns that it was
+        made of, where none holds it."""
         if np.abs(values - self.value).max() <= UNEVEN * self.value:
             return ()
         unit = " Pa" if self.in_pascal else ""
         return (
             f"the confining stress runs from {values.min():g} to {values.max():g}{unit}, while the simulated test "
-            "holds it; R is the ratio row by row.",
+            "holds it; R is the ratio row by row."
+            + (f" It is made of {made_of}: is p there (s1 + 2 s3)/3, and q s1 - s3?" if made_of else ""),
         )
 
     def unlike(self, simulated: float) -> str | None:
@@ -59,14 +62,52 @@ def doubts(strain, ratio, volume, marked: bool) -> list[str]:
     found = _of_ratio(strain, ratio, half) + _of_strain(strain, ratio, half, marked)
     if volume is not None:
         found += _of_volume(strain, volume, half)
-    repeated = (np.diff(ratio) == 0) & (True if volume is None else np.diff(volume) == 0)
-    padded = int(np.argmin(repeated[::-1])) if not repeated.all() else len(repeated)
-    if padded >= PADDING:
+    repeated = _repeated(ratio, volume)
+    if repeated >= PADDING:
         found.append(
-            f"the last {padded} rows only repeat R = {ratio[-1]:g} while the strain goes on to {_percent(strain[-1])}: "
-            "if the test ended before, remove them."
+            f"the last {repeated} rows only repeat R = {ratio[-1]:g} while the strain goes on to "
+            f"{_percent(strain[-1])}: if the test ended before, remove them."
         )
     return found
+
+
+def without_padding(strain, ratio, volume) -> tuple[int, list[str]]:
+    """(rows that are left, a sentence on those cut): rows at the end that repeat the last values exactly are no
+    measurement where there are PADDING of them, and twice as many as ever repeat elsewhere, and R is not read coarsely
+    with no volume beside it (it repeats then); or where the strain stands still as well."""
+    repeated = _repeated(ratio, volume)
+    still = int(np.argmin(np.r_[np.diff(strain)[::-1] == 0, False]))
+    rows = len(strain) - min(still, repeated)
+    end = len(ratio) - repeated
+    same = np.diff(ratio[:end]) == 0 if volume is None else (np.diff(ratio[:end]) == 0) & (np.diff(volume[:end]) == 0)
+    breaks = np.flatnonzero(np.r_[True, ~same, True])
+    elsewhere = int(np.diff(breaks).max(initial=1)) - 1
+    steps = np.abs(np.diff(ratio))
+    coarse = volume is None and steps[steps > 0].min(initial=np.inf) > COARSE * (ratio.max() - 1)
+    if repeated >= PADDING and repeated > 2 * elsewhere and end >= 2 and not coarse:
+        rows = end
+    if rows == len(strain):
+        return rows, []
+    return rows, [
+        f"the last {len(strain) - rows} rows only repeat R = {ratio[-1]:g}, from axial strain {_percent(strain[rows])} "
+        f"on: cut, the curve ends at {_percent(strain[rows - 1])}."
+    ]
+
+
+def _repeated(ratio, volume) -> int:
+    """Rows at the end that repeat the values of the row before them exactly."""
+    same = (np.diff(ratio) == 0) & (True if volume is None else np.diff(volume) == 0)
+    return int(np.argmin(same[::-1])) if not same.all() else len(same)
+
+
+def of_facts(facts) -> list[str]:
+    """Sentences on what a file says of its test that the simulated one is not."""
+    state = facts.consolidation or {}
+    return [
+        f"{facts.test or 'the test'} was consolidated with {name} = {value:g}; the simulated test is confined by equal "
+        "stresses and sheared from there."
+        for name, value in state.items()
+    ]
 
 
 def _percent(strain: float) -> str:

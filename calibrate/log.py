@@ -100,8 +100,10 @@ class FitLog:
 
 
 def curve_entry(curve) -> dict[str, list]:
-    """The fields of a curve, or of its tangents, as a line holds them."""
-    return {name: np.asarray(getattr(curve, name), float).tolist() for name in FIELDS if hasattr(curve, name)}
+    """The fields of a curve, or of its tangents, as a line holds them; what it has not, a lattice's void ratio, is left
+    out."""
+    fields = {name: np.asarray(getattr(curve, name), float) for name in FIELDS if hasattr(curve, name)}
+    return {name: values.tolist() for name, values in fields.items() if not np.isnan(values).all()}
 
 
 def curve_of_entry(entry: Mapping[str, list]) -> SimpleNamespace:

@@ -4,21 +4,22 @@ Compression is positive for stress and strain, strains are fractions inside; vol
 """
 
 import warnings
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 
-from calibrate.columns import read_measured
-from calibrate.doubts import ConfiningStress, doubts
-from calibrate.names import RATIO, STRAIN, VOLUME
+from calibrate.columns import read_columns
+from calibrate.doubts import ConfiningStress, doubts, of_facts, without_padding
+from calibrate.facts import Facts, length, stress
+from calibrate.mapping import Request
 from calibrate.table import DataError
-from calibrate.targets import Datum, HardPeak, _at
+from calibrate.targets import Datum, HardPeak, _at, passed_peak
 
-UNITS = {"fraction": 1.0, "percent": 0.01}
 LOWEST_RATIO, HIGHEST_RATIO = 0.9, 1000.0  # outside no s1/s3 of a compression that begins isotropic can lie
-Q_INSTEAD = "the column holds q = s1 - s3, name it q and give confining_stress too"
+Q_INSTEAD = "the column holds q = s1 - s3, name it q and give confining_stress too, if q/p, name it q/p"
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,7 @@ class MeasuredCurve:
     sigma_known: whether these are real uncertainties; otherwise only their proportion counts and the size of the
         scatter is estimated from the residuals.
     source: where it comes from. confining: the confining stress that the file gives, or None.
+    facts: what the file says of the specimen beside its columns (test, void ratio, grading and so on).
     warnings: what looks wrong in a file that could be read.
 
     Raises DataError for fewer than two points, unsorted or repeated strains, values that are not finite,
@@ -47,6 +49,7 @@ class MeasuredCurve:
     sigma_known: bool = False
     source: str = ""
     confining: ConfiningStress | None = None
+    facts: Facts = field(default_factory=Facts)
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self):
@@ -83,8 +86,8 @@ class MeasuredCurve:
         if strain.max() <= 0 < -strain.min() or (ratio < 0).all():
             raise DataError(
                 f"axial_strain runs from {strain[0]:g} to {strain[-1]:g} and stress_ratio from {ratio[0]:g} to "
-                f"{ratio[-1]:g}: the file looks tension-positive; compression must be positive. Turn the signs "
-                "of strains and stresses in the file."
+                f"{ratio[-1]:g}: the file looks tension-positive; compression must be positive. Write "
+                "(tension positive) behind the names of strains and stresses, or turn the signs in the file."
             )
         steps = np.diff(strain)
         if (steps <= 0).any():
@@ -102,7 +105,7 @@ class MeasuredCurve:
         if strain[-1] >= 0.5:
             raise DataError(
                 f"axial_strain reaches {strain[-1]:g}: must stay below 0.5; is the file in percent? Then write "
-                "[%] behind the name of the column."
+                "[%] behind the name of the column, or columns = {'axial_strain': '[%]'} (--column 'axial_strain=[%]')."
             )
         if (ratio <= 0).any():
             row = int(np.flatnonzero(ratio <= 0)[0])
@@ -166,72 +169,91 @@ class MeasuredCurve:
             return ratio
         return jnp.concatenate([ratio, _at(curve, self.axial_strain, "volumetric_strain")])
 
+    @property
+    def void_ratio(self) -> np.ndarray:
+        """(M,) voids over solids, made of the void ratio at the start, which the file or the caller gives, and the
+        volumetric strain [-]; NaN where one of them is not known."""
+        if self.facts.void_ratio is None or self.volumetric_strain is None:
+            return np.full(len(self), np.nan)
+        return (1 + self.facts.void_ratio) * (1 - self.volumetric_strain) - 1
+
     def peak(self) -> tuple[float, float]:
-        """(largest stress ratio, its axial strain) [-]. Raises DataError where it is the last point: then the test
-        was stopped before its peak and the number is a lower bound only."""
+        """(largest stress ratio, its axial strain) [-]. Raises DataError where it is at the end: then the test was
+        stopped before its peak and the number is a lower bound only."""
         top = int(self.stress_ratio.argmax())
-        if top == len(self) - 1:
+        if not passed_peak(self, "stress_ratio"):
+            where = "at the last point" if top == len(self) - 1 else "in the last 5 % of the strain"
             raise DataError(
-                f"the peak, R = {self.stress_ratio[top]:g}, is at the last point (strain {self.axial_strain[top]:g}): "
+                f"the peak, R = {self.stress_ratio[top]:g}, is {where} (strain {self.axial_strain[top]:g}): "
                 "the curve still rises, so its peak is not known; fit the curve instead, or give a longer one."
             )
         return float(self.stress_ratio[top]), float(self.axial_strain[top])
 
-    @classmethod
-    def from_csv(
-        cls,
-        path,
-        *,
-        axial_strain: str = "axial_strain",
-        stress_ratio: str = "stress_ratio",
-        volumetric_strain: str | None = None,
-        unit: str | None = None,
-        sign: int = 1,
-        **uncertainties,
-    ) -> "MeasuredCurve":
-        """Read a text file: a header row, comma, semicolon or tab between columns, # before a comment line.
 
-        Names are known in many spellings (calibrate.names): axial_strain or eps_a, stress_ratio or s1/s3, or instead
-            axial_stress (Sigma_1) or q with confining_stress (Sigma_3), volumetric_strain (eps_v) where it is there.
-            A unit stands in brackets behind the name or in the row below: [-], [%], [permille], [microstrain], and of
-            stresses [Pa], [kPa], [MPa], [bar], [psi] and so on. "(dilation positive)" behind a name turns its sign.
-        axial_strain, stress_ratio, volumetric_strain: other names of these columns, a unit in brackets apart.
-        unit: "fraction" or "percent" of strains without a unit; None takes fractions.
-        sign: -1 for a tension-positive file: strains and stresses change sign, their ratio does not.
-        uncertainties: ratio_sigma, volume_sigma, sigma_known of MeasuredCurve.
+def read_measured(
+    path,
+    columns: Mapping[str, str] | None = None,
+    *,
+    test: str | None = None,
+    height: str | None = None,
+    void_ratio: float | None = None,
+    confining_stress: str | None = None,
+    **uncertainties,
+) -> MeasuredCurve:
+    """Read a measured test from a text file as laboratories keep it.
 
-        Raises DataError, naming file, column, row and value, for what cannot be read, what contradicts itself and as
-        MeasuredCurve does. Warns of what can be read and looks wrong; `warnings` of the curve holds the same.
-        """
-        path = Path(path)
-        if unit is not None and unit not in UNITS:
-            raise DataError(f"unit = {unit!r}: must be 'fraction' or 'percent'.")
-        if sign not in (1, -1):
-            raise DataError(f"sign = {sign!r}: must be 1 (compression positive) or -1 (tension positive).")
-        wanted = {STRAIN: axial_strain, RATIO: stress_ratio}
-        wanted = {quantity: name for quantity, name in wanted.items() if name != quantity}
-        if volumetric_strain is not None:
-            wanted[VOLUME] = volumetric_strain
-        with np.errstate(all="ignore"):  # what overflows is not finite, which is refused below
-            read = read_measured(path, wanted, UNITS[unit] if unit else None, sign)
-        confining = None
-        if read.confining_stress is not None:
-            confining = ConfiningStress(float(np.median(read.confining_stress)), read.stress_marked)
-        try:
-            curve = cls(
-                read.axial_strain, read.stress_ratio, read.volumetric_strain, source=str(path), confining=confining,
-                **uncertainties,
-            )  # fmt: skip
-        except DataError as error:
-            raise DataError(f"{path.name}: {error}") from None
-        found = doubts(curve.axial_strain, curve.stress_ratio, curve.volumetric_strain, read.strain_marked)
-        found += read.doubts
-        if confining is not None and read.confining_stress is not None:
-            found += confining.uneven(read.confining_stress)
-        curve = replace(curve, warnings=tuple(f"{path.name}: {text}" for text in found))
-        for text in curve.warnings:
-            warnings.warn(text, stacklevel=2)
-        return curve
+    The file has a header row, and commas, semicolons, tabs or blanks between its columns, decimal points or commas, #
+    before comments. A material file of the Sand Triaxial Test Database is read as it is. Names are known in many
+    spellings (calibrate.names), units stand in brackets behind a name or in the row below, "(dilation positive)" or
+    "(tension positive)" turns a sign:
+
+    - axial_strain (eps_a), or axial_displacement [mm] with the height;
+    - stress_ratio (R, s1/s3), or q/p, or two of axial_stress (s1), confining_stress (s3), deviator_stress (q = s1 - s3)
+      and mean_stress (p = (s1 + 2 s3)/3), or one of these and the confining stress as a number;
+    - where it is there volumetric_strain (eps_v), or void_ratio (e), which becomes (e0 - e)/(1 + e0).
+
+    columns: what the header does not say, {quantity: text}: the name of a column, its unit, its sign, or part of it:
+        {"axial_displacement": "Weg [mm]", "q": "[kPa]", "eps_v": "dV/V (dilation positive)"}.
+    test: which test, where the file holds several. height: of the specimen at the start of the shear, with its unit,
+        "100 mm". void_ratio: e0, there [-]. confining_stress: with its unit, "200 kPa".
+    uncertainties: ratio_sigma, volume_sigma, sigma_known of MeasuredCurve.
+
+    A study file hands over the same as a table: read_measured(table.pop("data"), **table).
+
+    Rows at the end that only repeat the last values are cut. Raises DataError, naming file, column, row and value, for
+    what cannot be read, what contradicts itself, what cannot be known, and as MeasuredCurve does. Warns of what can be
+    read and looks wrong, and of rows that were left out or cut; `warnings` of the curve holds the same.
+    """
+    path = Path(path)
+    if void_ratio is not None and not 0 < void_ratio < 10:
+        raise DataError(f"void_ratio = {void_ratio!r}: must be positive, voids over solids, 0.4 to 1.2 of sands.")
+    wanted = Request(
+        dict(columns or {}), test, length("height", height), void_ratio, stress("confining_stress", confining_stress)
+    )
+    with np.errstate(all="ignore"):  # what overflows is not finite, which is refused below
+        read = read_columns(path, wanted)
+    strain, ratio, volume = read.axial_strain, read.stress_ratio, read.volumetric_strain
+    rows, cut = without_padding(strain, ratio, volume)
+    strain, ratio, volume = strain[:rows], ratio[:rows], None if volume is None else volume[:rows]
+    confining = None
+    if read.confining_stress is not None:
+        confining = ConfiningStress(float(np.median(read.confining_stress)), read.stress_marked)
+    elif read.facts.confining_stress is not None:
+        confining = ConfiningStress(read.facts.confining_stress, True)
+    try:
+        curve = MeasuredCurve(
+            strain, ratio, volume, source=str(path), confining=confining, facts=read.facts, **uncertainties
+        )
+    except DataError as error:
+        raise DataError(f"{path.name}: {error}") from None
+    found = cut + doubts(curve.axial_strain, curve.stress_ratio, curve.volumetric_strain, read.strain_marked)
+    found += [*read.doubts, *of_facts(read.facts)]
+    if confining is not None and read.confining_stress is not None:
+        found += confining.uneven(read.confining_stress, read.made_of)
+    curve = replace(curve, warnings=tuple(f"{path.name}: {text}" for text in found))
+    for text in curve.warnings:
+        warnings.warn(text, stacklevel=2)
+    return curve
 
 
 @dataclass(frozen=True)

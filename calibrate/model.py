@@ -19,7 +19,7 @@ from axijax.core.status import described
 from calibrate.parameters import ParameterSet
 
 LARGEST = 1e3  # largest |dR/dz|, z the log or logit of the parameter, that is still taken for a physical sensitivity
-FIELDS = ("axial_strain", "stress_ratio", "virial_ratio", "core_ratio", "volumetric_strain")
+FIELDS = ("axial_strain", "stress_ratio", "virial_ratio", "core_ratio", "volumetric_strain", "void_ratio")
 
 
 class RunFailed(RuntimeError):  # noqa: N818
@@ -69,10 +69,17 @@ class Model:
         self._pass = jax.jit(self._value_and_tangents)
 
     def check_stiffest(self) -> None:
-        """Raise ValueError where the limits let the stiffness pass the one that the test's time step was chosen for."""
+        """Raise ValueError where the limits let the stiffness pass the one for which the test's time step was chosen,
+        or the friction of a lattice the one at which it locks."""
+        lattice = getattr(getattr(self.simulator, "specimen", None), "zone_rule", "") == "given"
         softer_only = ("normal_stiffness", "shear_stiffness", "shear_modulus", "poisson_ratio")
         for name, upper in zip(self.parameters.names, self.parameters.upper, strict=True):
             reference = self.parameters.reference[name]
+            if lattice and name == "friction" and upper >= 1:
+                raise ValueError(
+                    f"upper bound of friction = {upper:g}: a regular array locks at 1 and above, so it must be below "
+                    "1; random specimens alone may go above."
+                )
             if not self.hold_time_step and name in softer_only and upper > reference * (1 + 1e-9):
                 raise ValueError(
                     f"upper bound of {name} = {upper:g} is above the test's own {reference:g}, for which its time step "
@@ -166,7 +173,7 @@ class Model:
 
 def jacobian_of(target, curve, tangents) -> tuple[np.ndarray, np.ndarray]:
     """(M,) prediction of a target and its (M, D) derivatives, from a curve and the tangents of D directions."""
-    names = [name for name in FIELDS if hasattr(tangents, name)]
+    names = [name for name in FIELDS if hasattr(tangents, name) and hasattr(curve, name)]
     primal = {name: jnp.asarray(getattr(curve, name)) for name in names}
 
     def predict(fields):
@@ -192,4 +199,6 @@ def stretch_tangent(curve) -> SimpleNamespace:
     if hasattr(curve, "volumetric_strain"):
         volume = curve.volumetric_strain
         fields["volumetric_strain"] = (strain * np.gradient(volume, strain) - volume)[None]
+        if hasattr(curve, "void_ratio"):  # 1 + e is the volume over that of the solids
+            fields["void_ratio"] = -(1 + curve.void_ratio[0]) * fields["volumetric_strain"]
     return SimpleNamespace(**fields)

@@ -11,17 +11,23 @@ from dataclasses import dataclass
 STRAIN, RATIO, VOLUME, AXIAL, CONFINING = (
     "axial_strain", "stress_ratio", "volumetric_strain", "axial_stress", "confining_stress",
 )  # fmt: skip
-DEVIATOR, DILATION = "deviator_stress", "volumetric_dilation"
+DEVIATOR, DILATION, MEAN, OBLIQUITY = "deviator_stress", "volumetric_dilation", "mean_stress", "q/p"
+SHORTENING, VOID, TEST = "axial_displacement", "void_ratio", "test_id"
 # Names without capitals, blanks, underscores, dots, primes and the word "effective"; Greek letters spelled out.
 NAMES = {
     STRAIN: "axialstrain strainaxial verticalstrain epsa eps1 epsaxial epsilona epsilon1 epsilonaxial ea e1",
-    RATIO: "stressratio principalstressratio s1/s3 sig1/sig3 sigma1/sigma3 siga/sigr sigmaa/sigmar sigmav/sigmar",
+    SHORTENING: "axialdisplacement verticaldisplacement displacement axialdeformation axialshortening heightchange",
+    RATIO: "r stressratio principalstressratio s1/s3 sig1/sig3 sigma1/sigma3 siga/sigr sigmaa/sigmar sigmav/sigmar",
     VOLUME: "volumetricstrain volumestrain volstrain strainvolumetric epsv epsvol epsilonv epsilonvol ev evol",
     DILATION: "volumetricdilation volumedilation dilation dilatation volumetricexpansion volumeexpansion",
+    VOID: "voidratio e",
     AXIAL: "axialstress verticalstress majorprincipalstress s1 sig1 sigma1 siga sigmaa sigmaaxial sigv sigmav",
     CONFINING: "confiningstress confiningpressure radialstress minorprincipalstress s3 sig3 sigma3 sigr sigmar",
     DEVIATOR: "deviatorstress deviatoricstress devstress deviator principalstressdifference stressdifference q sigmad "
     "s1-s3 sig1-sig3 sigma1-sigma3 siga-sigr sigmaa-sigmar sigmav-sigmar",
+    MEAN: "p meanstress meanpressure sigm sigmam",
+    OBLIQUITY: "q/p eta stressobliquity",
+    TEST: "testid testname testno testnumber",
 }
 PORE_PRESSURE = ["porepressure", "porewaterpressure", "excessporepressure", "pwp", "u", "backpressure", "cellpressure"]
 _QUANTITY = {name: quantity for quantity, names in NAMES.items() for name in names.split()}
@@ -37,6 +43,8 @@ _PASCAL = {
     1.0: "pa n/m2", 1e2: "hpa mbar", 1e3: "kpa kn/m2", 1e6: "mpa mn/m2 n/mm2", 1e9: "gpa", 1e5: "bar", 101325.0: "atm",
     6894.757: "psi", 6894757.0: "ksi", 47.88026: "psf", 47880.26: "ksf", 98066.5: "kgf/cm2 kg/cm2",
 }  # fmt: skip
+_METRE = {1.0: "m", 1e-2: "cm", 1e-3: "mm", 1e-6: "um", 0.0254: "in inch"}
+METRE = {mark: size for size, marks in _METRE.items() for mark in marks.split()}
 OF_ONE = {mark: size for size, marks in _OF_ONE.items() for mark in marks.split()}
 PASCAL = {mark: size for size, marks in _PASCAL.items() for mark in marks.split()}
 WORDS = {1.0: "fraction", 1e-2: "percent", 1e-3: "permille", 1e-6: "microstrain"}
@@ -58,6 +66,11 @@ class Head:
     def quantity(self) -> str | None:
         return _QUANTITY.get(self.name)
 
+    @property
+    def turned(self) -> int:
+        """-1 where the header says that its positive numbers are dilation or tension, else 1."""
+        return -1 if self.sign == -1 else 1
+
 
 def plain_name(text: str) -> str:
     """A name as in NAMES."""
@@ -77,7 +90,12 @@ def plain_mark(text: str) -> str:
 
 
 def is_unit(text: str) -> bool:
-    return plain_mark(text) in OF_ONE or plain_mark(text) in PASCAL
+    return any(plain_mark(text) in known for known in (OF_ONE, PASCAL, METRE))
+
+
+def quantity_of(name: str) -> str | None:
+    """The quantity of a name in any of its spellings, None for one that is not known."""
+    return _QUANTITY.get(plain_name(name))
 
 
 def taken_apart(place: int, cell: str) -> Head:
@@ -104,7 +122,7 @@ def taken_apart(place: int, cell: str) -> Head:
         name = name.strip()
         for between in _BEFORE_UNIT.finditer(name):
             tail = name[between.end() :]
-            if is_unit(tail) and tail not in ("-", "1"):
+            if is_unit(tail) and tail not in ("-", "1", "m", "in"):  # letters that mean other things in a name
                 name, mark = name[: between.start()], plain_mark(tail)
                 break
     if mark is None and unknown:

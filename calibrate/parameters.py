@@ -1,4 +1,5 @@
-"""Which numbers are fitted, and the coordinates in which they stay physical: log for scales, logit for friction.
+"""Which numbers are fitted, and the coordinates in which they stay physical: log for scales, logit for friction, whose
+coordinate is a log too where its bounds pass 1.
 
 What is not named is held. `normal_stiffness` named without `shear_stiffness` holds the ratio ks/kn, as PHYSICS 3.3
 does; named together each moves alone.
@@ -41,6 +42,8 @@ def aliases(known: Mapping[str, tuple[Quantity, Any]]) -> dict[str, str]:
 def default_limits(name: str, about: Quantity, reference: float) -> tuple[float, float]:
     """The range of a parameter in a fit that gives none, in physical values."""
     if about.coordinate == "logit":
+        if reference >= about.top:  # of balls that are stronger than the usual range
+            return 1e-3 * about.top, 3 * reference
         return 1e-3 * about.top, 0.999 * about.top
     low, high = (factor * reference for factor in RANGE.get(name, FACTOR))
     return low, min(high, 0.998 * about.below)
@@ -123,15 +126,17 @@ class ParameterSet:
         for name in given:
             if name not in full:
                 raise ValueError(f"bounds are given for '{name}', which is not fitted; fitted are {', '.join(full)}.")
-        about = tuple(known[name][0] for name in full)
-        low, high = [], []
-        for name, each in zip(full, about, strict=True):
+        about, low, high = [], [], []
+        for name in full:
+            each = known[name][0]
             ranged = each.coordinate == "logit" or (each.coordinate == "log" and 0 < reference[name] < np.inf)
             if name not in given and not ranged:
                 raise ValueError(
                     f"{name} = {reference[name]:g} in this test, from which no range to fit in follows: give bounds."
                 )
             lower, upper = given.get(name, default_limits(name, each, reference[name]))
+            if each.coordinate == "logit" and np.isinf(each.below) and upper >= each.top:
+                each = replace(each, coordinate="log")  # a friction above 1: no bound of nature is left
             top = each.top if each.coordinate == "logit" else each.below
             least = -np.inf if each.coordinate == "linear" else 0.0
             if not (np.isfinite([lower, upper]).all() and least < lower < upper < top):
@@ -141,9 +146,10 @@ class ParameterSet:
                     + "lower < upper"
                     + (f" < {top:g}." if np.isfinite(top) else ".")
                 )
+            about.append(each)
             low.append(lower)
             high.append(upper)
-        return cls(tuple(full), about, reference, np.array(low, float), np.array(high, float), symbols)
+        return cls(tuple(full), tuple(about), reference, np.array(low, float), np.array(high, float), symbols)
 
     def full_name(self, name: str) -> str:
         """The full name of a symbol, or the name itself."""

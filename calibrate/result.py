@@ -138,6 +138,7 @@ class Fit:
             "tangents": self.cost.tangents,
             "forward_equivalents": self.cost.forward_equivalents,
             "failed_runs": self.failed_runs,
+            "data": [{"source": target.source} | _facts(target) for target in self.targets],
             "warnings": list(self.warnings),
             "notes": list(self.notes),
         }
@@ -181,6 +182,11 @@ class Fit:
             stop = start + target.observed.size
             yield target, slice(start, stop)
             start = stop
+
+
+def _facts(target) -> dict:
+    """What the file of a measured curve says beside its columns."""
+    return target.facts.as_dict() if isinstance(target, MeasuredCurve) else {}
 
 
 def _without_nan(value):

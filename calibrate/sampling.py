@@ -2,8 +2,8 @@
 
 Points of a Sobol sequence come first. Step by step, from a flat distribution to the one wanted, kernels are set around
 the points that weigh most and new points are drawn from them, so that several maxima, bent ridges and flat directions
-are all held. What is left is a set of weighted points: their effective number, and the Pareto k of their weights (Vehtari
-et al. 2024; below 0.7 the weights can be trusted), say how well. The weights' mean is the evidence.
+are all held. What is left is a set of weighted points: their effective number, and the Pareto k of their weights
+(Vehtari et al. 2024; below 0.7 the weights can be trusted), say how well. The weights' mean is the evidence.
 """
 
 from collections.abc import Callable

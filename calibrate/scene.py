@@ -7,8 +7,8 @@
 
     scene = calibrate.RandomScene(sand, axijax.Params(friction=0.4))
 
-**Similarity.** Stresses and stiffnesses enter a test by their ratios alone, so a run at one confining stress is a run at
-any other with the stiffnesses in proportion. The point of a run holds the parameters in this form, and one library of
+**Similarity.** Stresses and stiffnesses enter a test by their ratios alone, so a run at one confining stress is
+a run at any other with the stiffnesses in proportion. The point of a run holds the parameters in this form, and one library of
 runs serves every confining pressure.
 """
 

@@ -14,6 +14,8 @@ from calibrate.evaluate import half_rise_strain
 from calibrate.measured import MeasuredCurve
 from calibrate.targets import HardPeak, SmoothPeak, WindowMean
 
+LOCKED = 0.95  # friction up to which the formulas of an array are used, which locks at 1
+
 
 def observed_peak(targets) -> float | None:
     """Peak stress ratio that the targets show, None without one [-]."""
@@ -48,7 +50,7 @@ def start_by_rule(simulator, parameters, targets) -> np.ndarray:
     stiff = [name for name in ("normal_stiffness", "shear_stiffness") if name in parameters.names]
     specimen = getattr(simulator, "specimen", None)
     if peak is not None and rise and stiff and specimen is not None:
-        friction = values.get("friction", reference.get("friction", 0.0))
+        friction = min(values.get("friction", reference.get("friction", 0.0)), LOCKED)
         ratio = reference["stiffness_ratio"]
         radius = float(np.mean(specimen.radius))
         slope = float(fcc_youngs_modulus(1.0, ratio, radius)) / reference["confining_stress"]  # of R, at kn = 1
@@ -71,6 +73,7 @@ def similar_curve(curve, before, after, stretch: float) -> SimpleNamespace:
     R - 1 scales as Thornton's peak does; strains as the strain at which FCC's horizontal contacts open, which is where
     R peaks, s3/kn (3+f)/(1-f) (PHYSICS 3.3). Beyond the run's end the last value is held.
     """
+    before, after = min(before, LOCKED), min(after, LOCKED)
     formula, found = fcc_stress_ratio(before), float(np.max(curve.stress_ratio))
     # How far this specimen is off the formula; a run that still rises at its end only says how far at least.
     share = found / formula if np.argmax(curve.stress_ratio) < curve.stress_ratio.size - 1 else max(found / formula, 1)
@@ -84,6 +87,8 @@ def similar_curve(curve, before, after, stretch: float) -> SimpleNamespace:
             fields[name] = 1 + higher * (np.interp(faster * strain, strain, getattr(curve, name)) - 1)
     if hasattr(curve, "volumetric_strain"):
         fields["volumetric_strain"] = np.interp(faster * strain, strain, curve.volumetric_strain) / faster
+        if hasattr(curve, "void_ratio"):
+            fields["void_ratio"] = (1 + curve.void_ratio[0]) * (1 - fields["volumetric_strain"]) - 1
     return SimpleNamespace(**fields)
 
 

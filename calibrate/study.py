@@ -1,7 +1,7 @@
 """A study: several tests of one sand, fitted together on random packings, and tests held out that are predicted.
 
-    fit = calibrate.fit_study(
-        [calibrate.StudyTest("100 kPa", curve, scene, 1e5), calibrate.StudyTest("200 kPa", other, scene, 2e5, held_out=True)],
+    fit = fit_study(
+        [StudyTest("100 kPa", curve, scene, 1e5), StudyTest("200 kPa", other, scene, 2e5, held_out=True)],
         "friction,normal_stiffness,rolling_friction",
     )
     print(fit)
@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from axijax.core.fingerprint import fingerprint
 from calibrate.axes import Axis, axes_of, prior_density
 from calibrate.ensemble import FIRST_SEED, design, run_all
 from calibrate.ground import Ground, own_scene
@@ -37,6 +38,7 @@ from calibrate.surrogate import least_runs
 LABORATORY = float("inf")  # grains of a laboratory's test, over those of a packing
 BATCH = 8  # runs that are placed at once
 KNOWN = 0.8  # share of a parameter's variance that the data leave; above it, further runs would hardly narrow it
+LEAST_POINTS = 5
 UNLIKELY = 0.01  # chance below which a misfit is more than scatter
 
 
@@ -46,7 +48,7 @@ class StudyTest:
 
     curve: what was measured. scene: packings that stand for its specimen. confining_stress: of the test, in the scene's
     units; None takes the scene's.
-    packings: that the data are the mean of: inf for a laboratory's test, 1 for a curve of one simulated specimen.
+    packings: that the data are the mean of: LABORATORY, or 1 for a curve of one simulated specimen.
     void_ratio: of the specimen at the beginning of the shear; None where it is not known, which costs precision, as
         packings differ most by it [-].
     held_out: predicted, never fitted. weight: on its log likelihood [-].
@@ -58,7 +60,7 @@ class StudyTest:
     curve: MeasuredCurve
     scene: RandomScene
     confining_stress: float | None = None
-    packings: float = LABORATORY
+    packings: float = 1.0
     void_ratio: float | None = None
     held_out: bool = False
     weight: float = 1.0
@@ -114,6 +116,9 @@ def fit_study(
     Raises ValueError for what cannot be fitted, RuntimeError where too few runs are sound to lay a surface.
     """
     _check(tests, runs, further, precision)
+    for test in tests:
+        if len(test.curve) < LEAST_POINTS:
+            raise DataError(f"'{test.name}': {len(test.curve)} points are too few for a fit on random packings.")
     axes, places = _layout(tests, names, bounds, own)
     priors = _priors(axes, priors)
     nodes = [nodes_of(test.curve) for test in tests]
@@ -168,7 +173,7 @@ def _layout(tests, names, bounds, own) -> tuple[list[Axis], list[list[int]]]:
     for test in tests:
         if test.held_out and alone:
             raise ValueError(
-                f"test '{test.name}' is held out, so nothing tells its own {', '.join(alone)}: share them to predict it."
+                f"test '{test.name}' is held out, so nothing tells its own {', '.join(alone)}: share them."
             )
         mine = {axis.name: k for k, axis in enumerate(shared)}
         for axis in first:
@@ -374,7 +379,17 @@ def _standing(axes, found: Sample, used: int) -> str:
     return f"after {used} runs: {told}"
 
 
-def check_data(curve: MeasuredCurve, name: str) -> None:
-    """Raise DataError for a curve that cannot be fitted on random packings."""
-    if len(curve) < 5:
-        raise DataError(f"'{name}': {len(curve)} points are too few for a fit on random packings; give a curve.")
+def identity(tests: Sequence[StudyTest], names: Sequence[str] | str, options: Mapping) -> dict[str, str]:
+    """What is fitted to what, as parts; how many runs it may take does not count."""
+    asked = {name: options.get(name) or None for name in ("bounds", "priors", "own")}
+    names = names.split(",") if isinstance(names, str) else list(names)
+    parts = fingerprint({"names": [name.strip() for name in names], **asked}, "fit")
+    for number, test in enumerate(tests, 1):
+        name = f"test.{number}"
+        parts |= {f"{name}.scene.{part}": value for part, value in test.scene.parts.items()}
+        parts |= fingerprint(test.scene.values(), f"{name}.parameters")
+        data = fingerprint(test.curve, f"{name}.data")
+        parts |= {part: value for part, value in data.items() if part != f"{name}.data.source"}
+        told = (test.confining_stress, test.packings, test.void_ratio, test.held_out, test.weight)
+        parts |= fingerprint(told, f"{name}.how")
+    return parts

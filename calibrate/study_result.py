@@ -67,7 +67,7 @@ class StudyFit:
 
     intervals: {name: (2.5, 50, 97.5 %)}. samples: {name: (n,)} equally weighted. bounds: of the box. priors as given.
     predictions: one for each test. verdicts: why it has not converged; empty where it has. notes: what else is to be
-    known. precisions: of what each parameter's uncertainty is made. directions: of the posterior, the widest first.
+    known. precisions: of what each parameter's uncertainty is made. directions: of the posterior, widest first.
     evidence: log of the mean likelihood over the box, for choosing between models with the same data; effective,
     pareto_k: of the samples. runs: the library's that were used; made: new ones; failed: sentences. seconds: of the new
     runs together.
@@ -158,9 +158,10 @@ class StudyFit:
             "notes": list(self.notes),
         }
 
-    def save(self, path: Path | str) -> Path:
-        """Write everything but the samples as JSON; returns the path."""
-        text = json.dumps(_without_nan(self.told()), indent=2, allow_nan=False) + "\n"
+    def save(self, path: Path | str, identity: Mapping[str, str] | None = None) -> Path:
+        """Write everything but the samples as JSON, with what was fitted to what; returns the path."""
+        told = self.told() | ({} if identity is None else {"identity": dict(identity)})
+        text = json.dumps(_without_nan(told), indent=2, allow_nan=False) + "\n"
         write_whole(Path(path), lambda target: target.write_text(text))
         return Path(path)
 

@@ -175,7 +175,7 @@ def _direction(axes: Sequence[Axis], found: Sample, place: int) -> str:
     if not others:
         return "No other parameter goes with it: hold it, or add data that feel it."
     words = " and ".join(f"{_name(axes[k])} {'rises' if row[k] > 0 else 'falls'}" for k in others)
-    return f"As it rises, {words}, and the curves stay as they are: hold one of them, or add a test that tells them apart."
+    return f"As it rises, {words}, and the curves stay as they are: hold one, or add a test that tells them apart."
 
 
 def direction_table(axes: Sequence[Axis], found: Sample) -> list[dict]:

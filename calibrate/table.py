@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 SEPARATORS = ("\t", ";", ",")
+BLANKS = " "  # between columns, where no separator makes a header
 HEADER_WITHIN = 200  # lines in which the header is looked for
 _POINT = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _COMMA = re.compile(r"[+-]?([0-9]+,?[0-9]*|,[0-9]+)([eE][+-]?[0-9]+)?")
@@ -37,11 +38,13 @@ class DataError(ValueError):
 
 @dataclass(frozen=True)
 class Table:
-    """file: its name, for messages. header: cells of the header. rows: cells of the rows below it, as many each."""
+    """file: its name, for messages. header: cells of the header. rows: cells of the rows below it, as many each.
+    comments: the lines that begin with #, and those above the header."""
 
     file: str
     header: list[str]
     rows: list[list[str]]
+    comments: tuple[str, ...] = ()
 
     def numbers(self, places: Iterable[int]) -> dict[int, np.ndarray]:
         """Columns at these places as numbers. One decimal mark holds for all of them: a comma only where some cell
@@ -94,40 +97,42 @@ class Table:
         return values
 
 
-def read_table(path: Path, score: Callable[[list[str]], int]) -> Table:
-    """The table in a text file.
+def read_table(name: str, text: str, score: Callable[[list[str]], int]) -> Table:
+    """The table in the text of a file of this name.
 
     score: how many of the columns that are looked for a row of cells names; the row that names most is the header,
     whatever stands above it. Lines that start with # are comments.
 
     Raises DataError, naming the file, where there is no such table.
     """
-    name = path.name
-    lines = [
-        line
-        for line in re.split("\r\n|\r|\n", _text(path))
-        if line.strip() and not line.lstrip("\ufeff \t").startswith("#")
-    ]
+    every = [line for line in re.split("\r\n|\r|\n", text) if line.strip()]
+    comments = [line for line in every if line.lstrip("\ufeff \t").startswith("#")]
+    lines = [line for line in every if not line.lstrip("\ufeff \t").startswith("#")]
     if not lines:
         raise DataError(f"{name}: holds no line beside comments; must have a header and at least one row.")
     place, separator = _header(name, lines, score)
     header = _without_end(_cells(name, lines[place], separator))
     rows: list[list[str]] = []
     for line in lines[place + 1 :]:
-        cells = _cells(name, line, separator)
+        cells = _cells(name, line, separator, below=True)
         if not any(cells):
             continue
         if len(cells) > len(header) and not any(cells[len(header) :]):
             cells = cells[: len(header)]
         if len(cells) != len(header):
+            hint = (
+                "columns are taken apart at blanks here: put semicolons or tabs between them"
+                if separator == BLANKS
+                else "numbers with a decimal comma need semicolons or tabs between the columns"
+            )
             raise DataError(
                 f"{name}: data row {len(rows) + 1} has {len(cells)} cells, the header {len(header)}; they must match "
-                f"(numbers with a decimal comma need semicolons or tabs between the columns)."
+                f"({hint})."
             )
         rows.append(cells)
     if not rows:
         raise DataError(f"{name}: holds a header and no row; must have a header and at least one row.")
-    return Table(name, header, rows)
+    return Table(name, header, rows, (*comments, *lines[:place]))
 
 
 def short(text: str, quoted: bool = True) -> str:
@@ -136,7 +141,8 @@ def short(text: str, quoted: bool = True) -> str:
     return (shown if quoted else shown[1:-1]) + ("" if len(text) <= 40 else f"... ({len(text)} characters)")
 
 
-def _text(path: Path) -> str:
+def text_of(path: Path) -> str:
+    """The text of a file, whatever its encoding. Raises DataError for what is no text."""
     try:
         if path.is_dir():
             raise DataError(f"{path}: is a folder; give the path of a CSV file.")
@@ -167,12 +173,14 @@ def _text(path: Path) -> str:
 def _header(name: str, lines: list[str], score) -> tuple[int, str]:
     """(place, separator) of the row that names most columns, or else of the widest row above the numbers."""
     best, found = (0, 0), None
+    blank: tuple[tuple[int, int], tuple[int, str] | None] = ((0, 0), None)
     widest, fallback = 0, (0, ",")
     for place, line in enumerate(lines[:HEADER_WITHIN]):
         split = {separator: _without_end(_cells(name, line, separator)) for separator in SEPARATORS}
-        if any(len(cells) > 1 and all(_is_number(cell) for cell in cells) for cells in split.values()):
+        spaced = _cells(name, line, BLANKS)
+        if any(len(cells) > 1 and all(_is_number(cell) for cell in cells) for cells in (*split.values(), spaced)):
             if found is None and place == 0:
-                cells = max(split.values(), key=len)
+                cells = max((*split.values(), spaced), key=len)
                 raise DataError(
                     f"{name}: the first row holds numbers ({', '.join(short(cell, False) for cell in cells[:3])}); it "
                     "must name the columns (a header behind # counts as a comment)."
@@ -183,16 +191,38 @@ def _header(name: str, lines: list[str], score) -> tuple[int, str]:
                 best, found = rank, (place, separator)
             if len(cells) > widest:
                 widest, fallback = len(cells), (place, separator)
+        if (rank := (score(spaced), len(spaced))) > blank[0] and rank[0] > 0:
+            blank = rank, (place, BLANKS)
+    # A header that only blanks take apart names two columns at least; else it is a line of words.
+    if blank[1] is not None and blank[0][0] > max(best[0], 1):
+        return blank[1]
     return found or fallback
 
 
-def _cells(name: str, line: str, separator: str) -> list[str]:
+def _cells(name: str, line: str, separator: str, below: bool = False) -> list[str]:
+    """The cells of a line. below: of a row of numbers and not of the header, whose names may hold single blanks."""
+    if separator == BLANKS:
+        text = line.strip().strip("\ufeff")
+        if below or not re.search(r"\S\s{2,}\S", text):
+            return text.split() if below else _words(text)
+        return re.split(r"\s{2,}", text)
     try:
         return [cell.strip().strip("\ufeff") for cell in next(csv.reader([line], delimiter=separator))]
     except csv.Error:
         raise DataError(
             f"{name}: the line that begins with {short(line)} cannot be taken apart; is this a table of numbers?"
         ) from None
+
+
+def _words(text: str) -> list[str]:
+    """Words between single blanks, a unit in brackets with the word before it."""
+    words: list[str] = []
+    for word in text.split():
+        if words and word[0] in "[({":
+            words[-1] += f" {word}"
+        else:
+            words.append(word)
+    return words
 
 
 def _without_end(cells: list[str]) -> list[str]:

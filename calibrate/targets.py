@@ -4,6 +4,7 @@ A functional is called with anything that has the arrays of `axijax.Curve` (axia
 of T values, compression positive, strain as a fraction) and returns one number; it can stand inside jit and jvp.
 A peak is only defined once it is said which one: the hard maximum over records is the noisiest and its tangent
 that of one record, the window mean is the smoothest (PHYSICS 4). `Datum` pairs a functional with a measurement.
+Further functionals, those of a laboratory's report, are in `calibrate.functionals`.
 """
 
 from collections.abc import Callable
@@ -41,6 +42,53 @@ def passed_peak(curve, ratio: str) -> bool:
     return bool(strain[np.argmax(getattr(curve, ratio))] < strain[-1] - BEFORE_END * (strain[-1] - strain[0]))
 
 
+def not_reached(functional, curve, *fields: str) -> str | None:
+    """Why a curve does not reach the strain of a functional, or has not the field; None where it does."""
+    for field in fields:
+        values = getattr(curve, field, None)
+        if values is None or not np.isfinite(np.asarray(values)).any():
+            return f"it has no {field.replace('_', ' ')}"
+    ends, wanted = float(np.asarray(curve.axial_strain)[-1]), last_strain(functional)
+    if wanted > ends * (1 + 1e-9):
+        return f"it ends at strain {ends:.4g}, before {wanted:g}"
+    begins = float(np.asarray(curve.axial_strain)[0])
+    first = getattr(functional, "start", getattr(functional, "strain", begins))
+    if first < begins - 1e-12:
+        return f"it begins at strain {begins:.4g}, after {first:g}"
+    return None
+
+
+def last_strain(functional) -> float:
+    """Axial strain that a curve must reach for a functional [-]."""
+    own = getattr(functional, "last_strain", None)
+    return float(own if own is not None else getattr(functional, "stop", getattr(functional, "strain", 0.0)))
+
+
+def trouble(functional, curve) -> str | None:
+    """Why a curve, measured or of a finished run, does not reach a functional's number, in the middle of a sentence."""
+    own = getattr(functional, "trouble", None)
+    if own is not None:
+        return own(curve)
+    wrong = not_reached(functional, curve)
+    if wrong is None and not np.isfinite(np.asarray(functional(curve))).all():
+        return "the number is not finite there"
+    return wrong
+
+
+def no_peak(curve, ratio: str) -> str | None:
+    """Why the largest stress ratio of a curve is no peak; None where it is one."""
+    if wrong := not_reached(None, curve, ratio):
+        return wrong
+    if passed_peak(curve, ratio):
+        return None
+    values, strain = np.asarray(getattr(curve, ratio)), np.asarray(curve.axial_strain)
+    top = int(values.argmax())
+    return (
+        f"its largest stress ratio, {values[top]:.4g}, is at its end (strain {strain[top]:.3g} of {strain[-1]:.3g}): "
+        "the curve still rises, and that is no peak"
+    )
+
+
 def _at(curve, strain, field: str):
     """A field of the curve at given strains, NaN beyond the records, so that a short run is never read past its end."""
     strains = jnp.asarray(curve.axial_strain)
@@ -65,9 +113,9 @@ class HardPeak:
     def __call__(self, curve):
         return jnp.asarray(getattr(curve, self.ratio)).max()
 
-    def passed(self, curve) -> bool:
-        """Whether a finished run has passed its peak."""
-        return passed_peak(curve, self.ratio)
+    def trouble(self, curve) -> str | None:
+        """Why a finished curve has no peak."""
+        return no_peak(curve, self.ratio)
 
 
 @dataclass(frozen=True)
@@ -129,9 +177,9 @@ class SmoothPeak:
         weights = _boltzmann_weights(curve, self.ratio, self.temperature)
         return (weights * getattr(curve, self.ratio)).sum()
 
-    def passed(self, curve) -> bool:
-        """Whether a finished run has passed its peak."""
-        return passed_peak(curve, self.ratio)
+    def trouble(self, curve) -> str | None:
+        """Why a finished curve has no peak."""
+        return no_peak(curve, self.ratio)
 
 
 @dataclass(frozen=True)
@@ -176,9 +224,9 @@ class StrainAtPeak:
     def __call__(self, curve):
         return (_boltzmann_weights(curve, self.ratio, self.temperature) * curve.axial_strain).sum()
 
-    def passed(self, curve) -> bool:
-        """Whether a finished run has passed its peak."""
-        return passed_peak(curve, self.ratio)
+    def trouble(self, curve) -> str | None:
+        """Why a finished curve has no peak."""
+        return no_peak(curve, self.ratio)
 
 
 @dataclass(frozen=True)
@@ -243,10 +291,22 @@ class Datum:
         """(1,) its standard uncertainty."""
         return np.array([self.uncertainty], float)
 
+    @classmethod
+    def measured(cls, functional, curve, uncertainty: float) -> "Datum":
+        """The number that a measured curve gives for a functional, as a datum.
+
+        Raises ValueError, with the reason, where the curve does not reach it: a peak of data that still rise, say.
+        """
+        source = getattr(curve, "source", "")
+        label = getattr(functional, "name", getattr(functional, "__name__", "functional"))
+        if why := trouble(functional, curve):
+            raise ValueError(f"{source or 'the measured curve'} does not reach '{label}': {why}.")
+        return cls(functional, float(functional(curve)), uncertainty, source)
+
     @property
     def last_strain(self) -> float:
         """Axial strain that a run must reach [-]."""
-        return getattr(self.functional, "stop", getattr(self.functional, "strain", 0.0))
+        return last_strain(self.functional)
 
     def predict(self, curve):
         """(1,) what a simulated curve gives for it."""

@@ -13,6 +13,7 @@ from calibrate.evaluate import Evaluation, Evaluator
 from calibrate.measured import MeasuredCurve
 from calibrate.model import LARGEST, RunFailed
 from calibrate.result import Fit, uncertainty
+from calibrate.targets import trouble
 
 CONVERGED = "converged"
 FAR = 5.0  # times the stated uncertainty; a larger root mean square misfit is no answer to the data
@@ -157,15 +158,14 @@ def _doubts(evaluator: Evaluator, best: Evaluation, residual: np.ndarray) -> lis
                 Doubt(f"{name} is at its bound", f"{name} is at its bound; widen the bounds or doubt the data.")
             )
     for target in evaluator.targets:
-        passed = getattr(getattr(target, "functional", None), "passed", None)
-        if passed is not None and best.curve is not None and not passed(best.curve):
-            end = float(best.curve.axial_strain[-1])
+        functional = getattr(target, "functional", None)
+        why = None if functional is None or best.curve is None else trouble(functional, best.curve)
+        if why:
             doubts.append(
                 Doubt(
-                    "the run stops before its peak",
-                    f"'{target.label}' is compared with a run whose largest stress ratio is at its end (strain "
-                    f"{end:.3g}): that is no peak, and the parameter that fits it is wrong; run it farther with a "
-                    "larger axial_strain.",
+                    f"the run does not reach '{target.label}'",
+                    f"the run does not reach '{target.label}': {why}. The parameter that fits it is wrong; run it "
+                    "farther with a larger axial_strain, or compare another number.",
                 )
             )
     return doubts

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from calibrate.measured import ROWE, DataError, MeasuredCurve
+from calibrate.measured import ROWE, DataError, MeasuredCurve, read_measured
 from calibrate.targets import Datum, HardPeak, InitialSlope, RatioAt, SmoothPeak, StrainAtPeak, WindowMean
 
 STRAIN = jnp.linspace(0.0, 0.01, 401)
@@ -83,23 +83,23 @@ def write(tmp_path, text):
 
 def test_csv_reads_comments_units_names_and_separators(tmp_path):
     text = "# a test\nAxial_Strain [%];stress_ratio;Volume (%)\n0.0;1.0;0\n# pause\n0.1;1.5;0.01\n0.2;2.0;-0.02\n"
-    curve = MeasuredCurve.from_csv(write(tmp_path, text), volumetric_strain="volume")
+    curve = read_measured(write(tmp_path, text), {"volumetric_strain": "volume"})
     assert curve.axial_strain == pytest.approx([0, 0.001, 0.002])
     assert curve.volumetric_strain == pytest.approx([0, 1e-4, -2e-4])
     assert len(curve.observed) == len(curve.sigma) == 6
-    percent = MeasuredCurve.from_csv(
-        write(tmp_path, "strain,r\n0,1\n0.1,2\n"), axial_strain="strain", stress_ratio="r", unit="percent"
-    )
+    named = {"axial_strain": "strain [%]", "stress_ratio": "r"}
+    percent = read_measured(write(tmp_path, "strain,r\n0,1\n0.1,2\n"), named)
     assert percent.axial_strain[1] == pytest.approx(0.001)
 
 
 def test_csv_makes_the_ratio_from_stresses_and_turns_signs(tmp_path):
     path = write(tmp_path, "axial_strain,axial_stress,confining_stress\n-0.001,-100,-50\n-0.002,-150,-50\n")
-    curve = MeasuredCurve.from_csv(path, sign=-1)
+    turned = {name: "(tension positive)" for name in ("axial_strain", "axial_stress", "confining_stress")}
+    curve = read_measured(path, turned)
     assert curve.stress_ratio == pytest.approx([2, 3])
     assert curve.axial_strain == pytest.approx([0.001, 0.002])
     with pytest.raises(DataError, match="tension-positive"):
-        MeasuredCurve.from_csv(path)
+        read_measured(path)
 
 
 @pytest.mark.parametrize(
@@ -117,18 +117,18 @@ def test_csv_makes_the_ratio_from_stresses_and_turns_signs(tmp_path):
         ("0,1\n0.001,2\n", "must name the columns"),
         ("axial_strain,stress_ratio\n0,1\n0.9,2\n", "percent"),
         ("axial_strain,stress_ratio\n0,1\n0.001,-2\n", "stress_ratio = -2 in data row 2"),
-        ("axial_strain [%],stress_ratio\n0,1\n0.1,2\n", "marked in percent, but unit = 'fraction'"),
+        ("axial_strain [%],stress_ratio\n0,1\n0.1,2\n", "is marked '%', but columns say '-'"),
     ],
 )
 def test_bad_files_get_a_sentence(tmp_path, text, words):
-    unit = {"unit": "fraction"} if "[%]" in text else {}
+    columns = {"axial_strain": "[-]"} if "[%]" in text else {}
     with pytest.raises(DataError, match=words.replace("[", r"\[")):
-        MeasuredCurve.from_csv(write(tmp_path, text), **unit)
+        read_measured(write(tmp_path, text), columns)
 
 
 def test_missing_file_and_a_peak_at_the_last_point(tmp_path):
     with pytest.raises(DataError, match="no such file"):
-        MeasuredCurve.from_csv(tmp_path / "none.csv")
+        read_measured(tmp_path / "none.csv")
     with pytest.raises(DataError, match="at the last point"):
         MeasuredCurve([0, 0.001, 0.002], [1, 1.5, 2]).peak()
     assert MeasuredCurve([0, 0.001, 0.002], [1, 2, 1.8]).peak() == (2.0, 0.001)

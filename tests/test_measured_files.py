@@ -13,7 +13,7 @@ from calibrate_standin import StandIn, measured
 from cli_in_process import SMALL, axijax, write
 
 from calibrate.file import calibrate_file
-from calibrate.measured import DataError, MeasuredCurve
+from calibrate.measured import DataError, read_measured
 
 STRAIN = np.arange(0, 0.0051, 0.0002)
 RATIO = 1 + 1.9 * np.tanh(STRAIN / 9e-4)
@@ -44,7 +44,7 @@ def read(tmp_path, content, **options):
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        curve = MeasuredCurve.from_csv(path, **options)
+        curve = read_measured(path, **options)
     assert tuple(str(one.message) for one in said) == curve.warnings
     return curve, curve.warnings
 
@@ -163,7 +163,8 @@ def changed(old, new, text=PLAIN, count=1):
 
 NUMBER = f"{RATIO[1]:.12g}"
 REFUSED = {
-    "unknown unit": (with_strain("axial_strain [mm]", 1), ["'axial_strain [mm]'", "'mm'", "[permille]"]),
+    "unknown unit": (with_strain("axial_strain [furlong]", 1), ["'axial_strain [furlong]'", "[permille]"]),
+    "a length without a height": (with_strain("axial_strain [mm]", 1), ["'mm', a length", "height, such as '100 mm'"]),
     "two units": (with_strain("axial_strain [%] [-]", 1), ["which is no unit"]),
     "a unit above and another below": (changed("\n", "\n-,-\n"), ["another unit, '-'"]),
     "a ratio in kPa": (changed("stress_ratio", "stress_ratio [kPa]"), ["'stress_ratio [kPa]'", "'kpa'"]),
@@ -203,7 +204,7 @@ REFUSED = {
     ),
     "q that contradicts the stresses": (
         table(strains(), ("q [kPa]", Q / 2e3), ("s1 [kPa]", RATIO * 50), ("s3 [kPa]", 50 + 0 * STRAIN)),
-        ["data row 2", "1 + 'q [kPa]' over 's3 [kPa]'"],
+        ["'q [kPa]' is 10385.2 in data row 2", "make it 20770.3"],
     ),
     "two columns that do not agree": (
         table(strains(), R, ("Axial Strain [%]", 110 * STRAIN)),
@@ -258,8 +259,9 @@ REFUSED = {
     "no header": ("0,1\n0.1,2\n", ["first row holds numbers (0, 1)"]),
     "header in a comment": ("# " + PLAIN, ["# counts as a comment"]),
     "no stress": (table(strains(), ("load", RATIO)), ["no column 'stress_ratio'; it has axial_strain [%], load"]),
-    "blanks between": (PLAIN.replace(",", " "), ["semicolons or tabs must stand between"]),
-    "no confining stress": (table(strains(), ("q [kPa]", Q)), ["confining_stress with axial_stress or with q"]),
+    "bars between": (PLAIN.replace(",", "|"), ["semicolons, tabs or blanks must stand between"]),
+    "blanks between, one cell short": (changed("\n0.02 ", "\n", PLAIN.replace(",", " ")), ["taken apart at blanks"]),
+    "no confining stress": (table(strains(), ("q [kPa]", Q)), ["two of axial_stress", "--confining-stress"]),
     "only units below": ("axial_strain,stress_ratio\n%,-\n", ["a header and at least one row"]),
     "nothing": ("", ["no line"]),
     "comments only": ("# a\n# b\n", ["no line"]),

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, assume, event, given, settings
 from hypothesis import strategies as st
 
 from calibrate.evaluate import half_rise_strain
-from calibrate.measured import DataError, MeasuredCurve
+from calibrate.measured import DataError, read_measured
 
 CASES = int(os.environ.get("AXIJAX_FUZZ", "150"))
 FUZZ = settings(
@@ -62,7 +62,7 @@ def tables(draw):
         cells = [f"{value / marks[mark]:.14g}" for value in values[kind]]
         columns.append((draw(st.sampled_from(NAMES[kind])), mark, cells))
     if draw(st.booleans()):
-        remark = (draw(st.sampled_from(["remark", "Temperature", "p"])), "", draw(st.sampled_from(["ok", "20", ""])))
+        remark = (draw(st.sampled_from(["remark", "Temperature", "B"])), "", draw(st.sampled_from(["ok", "20", ""])))
         columns.insert(draw(st.integers(0, len(columns))), (remark[0], remark[1], [remark[2]] * size))
     heads = [name if below or not mark else f"{name} [{mark}]" for name, mark, _ in columns]
     rows = [heads, *([[mark for _, mark, _ in columns]] if below else []), *zip(*(c for *_, c in columns), strict=True)]
@@ -133,7 +133,7 @@ def opened(file, content):
     file.write_bytes(content)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        return MeasuredCurve.from_csv(file)
+        return read_measured(file)
 
 
 @FUZZ

@@ -26,7 +26,7 @@ from axijax.mechanics.observe import observe
 from axijax.triaxial.records import RECORDS as CURVE_RECORDS
 from axijax.triaxial.records import Confinement, no_records
 from axijax.triaxial.test import Progress
-from calibrate import MeasuredCurve
+from calibrate import read_measured
 
 pytest_plugins = ["small_result"]
 
@@ -69,7 +69,7 @@ def test_curve_comes_back_from_every_file(result, folder):
     table = np.loadtxt(lines[2:], delimiter=",").T
     for head, column in zip(heads, table, strict=True):
         np.testing.assert_array_equal(curve[head.split(" ")[0]].values, column)
-    measured = MeasuredCurve.from_csv(folder / "curve.csv")
+    measured = read_measured(folder / "curve.csv")
     np.testing.assert_array_equal(measured.stress_ratio, curve.stress_ratio.values)
     np.testing.assert_array_equal(measured.volumetric_strain, curve.volumetric_strain.values)
     seen = result.progress.records

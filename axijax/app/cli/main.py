@@ -9,10 +9,12 @@ from typing import Annotated
 import typer
 
 from axijax.app.cli.batch import batch
+from axijax.app.cli.calibrate import calibrate
 from axijax.app.cli.check import check
 from axijax.app.cli.errors import complain, filling, guarded
 from axijax.app.cli.run import new, resume, run
 from axijax.app.cli.show import cite, plot, report, snapshot
+from axijax.app.cli.study import library
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -99,35 +101,6 @@ def table1(
     console.print("Written: " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
 
 
-def calibrate(
-    data: Annotated[Path, typer.Argument(help="Measured curve: text with named columns, see below.")],
-    fit: Annotated[str, typer.Option(help="Parameters to fit, with commas: friction,kn,ks..")] = "friction",
-    case: Annotated[Path | None, typer.Option(help="Case file of the test; left out: the paper's quarter.")] = None,
-    output: Annotated[Path, typer.Option(help="Folder for the fit, its picture and its log.")] = Path("calibration"),
-    check: Annotated[bool, typer.Option(help="End with the health of the gradient at the answer.")] = True,
-) -> None:
-    """Fit friction and stiffness of a triaxial test to a measured curve, by derivatives of the simulation.
-
-    The data need axial_strain (or eps_a), and stress_ratio, or confining_stress (sigma_3) with axial_stress (sigma_1)
-    or q = s1 - s3; volumetric_strain (eps_v) is fitted too where it is there. Write units in brackets behind the
-    names, percent or kPa say; strains without are fractions. Compression is positive; "(dilation positive)" behind a
-    name turns its sign.
-
-    Writes fit.json, fit.png and evaluations.jsonl into the output folder; an interrupted fit resumes from the latter.
-    Ends with exit code 1 where the fit has not converged; what was found is written all the same.
-    """
-    from axijax.app.case import Case, load_case
-    from axijax.core.files import locked, writable_folder
-    from calibrate import calibrate_file
-
-    test = (Case() if case is None else load_case(case)).build()
-    folder = writable_folder(output)
-    with locked(folder), filling(folder, "run it again, and what is in evaluations.jsonl is not computed again"):
-        found = calibrate_file(data, fit, test, folder, check=check)
-    if not found.converged:
-        raise typer.Exit(1)
-
-
 def _table(rows):
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
@@ -170,12 +143,19 @@ COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
     report: ("axijax report results/first", "axijax report results/first --data measured.csv --output first.html"),
     snapshot: ("axijax snapshot results/first", "axijax snapshot results/first --full"),
     batch: ("axijax batch sweep.toml", "axijax batch sweep.toml --output strengths --workers 2"),
-    calibrate: ("axijax calibrate measured.csv", "axijax calibrate measured.csv --fit friction,kn --case first.toml"),
+    calibrate: (
+        "axijax calibrate measured.csv --fit friction,kn --case first.toml",
+        "axijax calibrate karlsruhe.csv --test TMD18 --bounds friction=0.1,1.2 --uncertainty stress_ratio=0.05",
+        "axijax calibrate study.toml --output sand",
+        "axijax calibrate lab.csv --column 'axial_displacement=Weg [mm]' --height '10 cm' --confining-stress '2 bar'",
+    ),
+    library: ("axijax library list", "axijax library clean 3f2a"),
     cite: ("axijax cite", "axijax cite results/first"),
     table1: ("axijax table1", "axijax table1 --output paper"),
 }
 for command, examples in COMMANDS.items():
-    app.command(epilog="\n\n".join(["Examples:", *examples]))(command)
+    shown = [example.replace("[", "\\[") for example in examples]  # brackets would be marks of the help's own
+    app.command(epilog="\n\n".join(["Examples:", *shown]))(command)
 
 
 def main(arguments: list[str] | None = None) -> int:

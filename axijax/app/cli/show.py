@@ -123,9 +123,9 @@ def _open(paths: list[Path]):
 def _measured(path: Path | None):
     if path is None:
         return None
-    from calibrate import MeasuredCurve
+    from calibrate import read_measured
 
-    return MeasuredCurve.from_csv(path)
+    return read_measured(path)
 
 
 def _tell(paths: list[Path]) -> None:
