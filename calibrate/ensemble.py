@@ -21,7 +21,6 @@ from calibrate.library import FIELDS, Library, StoredRun
 from calibrate.scene import RandomScene
 
 FIRST_SEED = 1_000_000  # packings of a library; far from the seeds that a user gives the specimen of the data
-PAST_THE_END = 1.02  # runs go a little farther than the data, whose last point is then between two records
 
 Job = tuple[Mapping[str, float], int]  # point, seed of the packing
 
@@ -67,7 +66,7 @@ def run_all(
 
     Raises RuntimeError where a worker is ended from outside, by want of memory say; what was finished is kept.
     """
-    jobs, reach = list(jobs), min(PAST_THE_END * reach, 0.499)
+    jobs = list(jobs)
     held = [library.find(point, seed, reach) for point, seed in jobs]
     todo = [place for place, run in enumerate(held) if run is None]
 

@@ -2,8 +2,8 @@
 
 A folder for each scene, named by the hash of what the scene is (`calibrate.scene`), holds `scene.json` with these parts
 and one file for each run. Files are whole or not there, and each run has a name of its own, so processes share a
-library without a lock and a kill costs the runs in progress alone. Runs that failed are kept with their sentence, and not tried
-again.
+library without a lock and a kill costs the runs in progress alone. Runs that failed are kept with their sentence, and
+not tried again.
 """
 
 import hashlib

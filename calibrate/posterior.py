@@ -1,9 +1,9 @@
 """What the data say of the parameters, through the surfaces of `calibrate.surrogate`.
 
 For each fitted test the difference between data and surface has the variance of: the packings of the data (a curve of
-one packing scatters, the mean of m packings a m-th of that, a laboratory's test of a million grains next to nothing), the
-surface itself, and the measurement. It is Student's, since the scatter is known from the runs alone. Surfaces that stand on the
-same runs err together; each of T such tests counts T times the surface's variance.
+one packing scatters, the mean of m packings a m-th of that, a laboratory's test of a million grains next to nothing),
+the surface itself, and the measurement. It is Student's, since the scatter is known from the runs alone. Surfaces that
+stand on the same runs err together; each of T such tests counts T times the surface's variance.
 """
 
 from collections.abc import Sequence

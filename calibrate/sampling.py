@@ -10,11 +10,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.cluster.vq import kmeans2
 from scipy.special import gammaln, logsumexp
 from scipy.stats import qmc
 
 POINTS = 4096
-KERNELS = 200
+KERNELS, GROUPS = 240, 10
 TAIL = 5.0  # degrees of freedom of the kernels, whose tails are then heavier than a normal distribution's
 MOST_STAGES, LAST_STAGES = 30, 5
 EDGE = 1e-9
@@ -85,8 +86,7 @@ def sample(log_density: Callable[[np.ndarray], np.ndarray], dims: int, points: i
             if at_end > LAST_STAGES or 1 / (weights**2).sum() > 0.25 * points:
                 break
         reached = power
-        centres, spread = _kernels(open_space, weights, rng)
-        open_space, proposal = _drawn(centres, spread, points, rng)
+        open_space, proposal = _drawn(_kernels(open_space, weights, rng), points, rng)
         density = _finite(log_density(_closed(open_space)))
     base = _log_volume(open_space) - proposal
     logs = base + density
@@ -168,34 +168,55 @@ def _log_volume(open_space: np.ndarray) -> np.ndarray:
     return -(np.logaddexp(0, open_space) + np.logaddexp(0, -open_space)).sum(1)
 
 
-def _kernels(open_space: np.ndarray, weights: np.ndarray, rng) -> tuple[np.ndarray, np.ndarray]:
-    """(J, P) centres and the (P, P) lower factor of their covariance; the first is the mean, for the wide kernel."""
+@dataclass(frozen=True)
+class _Kernels:
+    """Groups of kernels, each (J, P) centres and the (P, P) lower factor of their covariance, and their shares; the
+    first group is one wide kernel over all."""
+
+    groups: list[tuple[np.ndarray, np.ndarray]]
+    shares: np.ndarray
+
+
+def _kernels(open_space: np.ndarray, weights: np.ndarray, rng) -> _Kernels:
+    """Around points drawn by their weights, in groups that follow a bent ridge each with its own covariance."""
     dims = open_space.shape[1]
     mean = weights @ open_space
-    covariance = ((open_space - mean).T * weights) @ (open_space - mean)
-    width = (4 / ((dims + 2) * KERNELS)) ** (1 / (dims + 4))
-    places = np.searchsorted(np.cumsum(weights)[:-1], (rng.random() + np.arange(KERNELS)) / KERNELS)
-    # Drawn together a little, so that kernels and points have the spread of the points alone.
-    centres = mean + np.sqrt(max(1 - width**2, 0.0)) * (open_space[places] - mean)
-    spread = width * np.linalg.cholesky(covariance + 1e-10 * np.eye(dims))
-    return np.concatenate([[mean], centres]), spread
+    whole = ((open_space - mean).T * weights) @ (open_space - mean) + 1e-10 * np.eye(dims)
+    # Drawn more often than there are kernels: the covariance of a group is that of its draws.
+    places = np.searchsorted(np.cumsum(weights)[:-1], (rng.random() + np.arange(2000)) / 2000)
+    drawn = open_space[places]
+    white = np.linalg.solve(np.linalg.cholesky(whole), (drawn - mean).T).T
+    _, member = kmeans2(white, GROUPS, minit="++", rng=rng)
+    groups, shares = [(mean[None], 1.3 * np.linalg.cholesky(whole))], [WIDE]
+    for group in range(GROUPS):
+        mine = drawn[member == group]
+        if len(mine) < 4 * dims:
+            continue
+        # A little of the whole, for groups of few different points.
+        spread = np.cov(mine.T).reshape(dims, dims) + 1e-4 * whole
+        count = max(int(KERNELS * len(mine) / len(drawn)), 2)
+        width = (4 / ((dims + 2) * count)) ** (1 / (dims + 4))
+        # Drawn together a little, so that kernels and points have the spread of the points alone.
+        chosen = mine[rng.permutation(len(mine))[:count]] - mine.mean(0)
+        centres = mine.mean(0) + np.sqrt(max(1 - width**2, 0.0)) * chosen
+        groups.append((centres, width * np.linalg.cholesky(spread)))
+        shares.append(len(mine) / len(drawn))
+    found = np.array(shares)
+    found[1:] *= (1 - FLAT - WIDE) / found[1:].sum()
+    return _Kernels(groups, found)
 
 
-def _drawn(centres: np.ndarray, spread: np.ndarray, count: int, rng) -> tuple[np.ndarray, np.ndarray]:
-    """(count, P) points of the mixture of kernels, the wide one and the whole box, and the log of its density."""
-    mean, centres = centres[:1], centres[1:]
-    dims = mean.shape[1]
-    wide = 1.3 * spread * ((dims + 2) * KERNELS / 4) ** (1 / (dims + 4))
-    flat = rng.random((int(FLAT * count), dims))
-    broad = _student(np.repeat(mean, int(WIDE * count), 0), wide, rng)
-    rest = count - len(flat) - len(broad)
-    narrow = _student(centres[rng.permutation(np.arange(rest) % len(centres))], spread, rng)
-    found = np.concatenate([_opened(np.clip(flat, EDGE, 1 - EDGE)), broad, narrow])
-    logs = [
-        np.log(len(flat) / count) + _log_volume(found),
-        np.log(len(broad) / count) + _kernel_density(found, mean, wide),
-        np.log(rest / count) + _kernel_density(found, centres, spread),
-    ]
+def _drawn(kernels: _Kernels, count: int, rng) -> tuple[np.ndarray, np.ndarray]:
+    """(count, P) points of the mixture of kernels and the whole box, and the log of its density."""
+    dims = kernels.groups[0][0].shape[1]
+    numbers = rng.multinomial(count, [FLAT, *kernels.shares])
+    points = [_opened(np.clip(rng.random((numbers[0], dims)), EDGE, 1 - EDGE))]
+    for (centres, spread), number in zip(kernels.groups, numbers[1:], strict=True):
+        points.append(_student(centres[rng.permutation(np.arange(number) % len(centres))], spread, rng))
+    found = np.concatenate(points)
+    logs = [np.log(FLAT) + _log_volume(found)]
+    for (centres, spread), share in zip(kernels.groups, kernels.shares, strict=True):
+        logs.append(np.log(share) + _kernel_density(found, centres, spread))
     return found, logsumexp(logs, axis=0)
 
 

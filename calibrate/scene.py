@@ -7,9 +7,9 @@
 
     scene = calibrate.RandomScene(sand, axijax.Params(friction=0.4))
 
-**Similarity.** Stresses and stiffnesses enter a test by their ratios alone, so a run at one confining stress is
-a run at any other with the stiffnesses in proportion. The point of a run holds the parameters in this form, and one library of
-runs serves every confining pressure.
+**Similarity.** Stresses and stiffnesses enter a test by their ratios alone, so a run at one confining stress is a run
+at any other with the stiffnesses in proportion. The point of a run holds the parameters in this form, and one library
+of runs serves every confining pressure.
 """
 
 from collections.abc import Callable, Mapping
@@ -76,9 +76,18 @@ class RandomScene:
         )  # fmt: skip
 
     def run(self, point: Mapping[str, float], seed: int, reach: float) -> Any:
-        """The curve of a packing at a point, to this axial strain. Raises what packing and test raise."""
+        """The curve of a packing at a point, with a record at or past this axial strain. Raises what packing and test
+        raise."""
         test = self.make(seed, self.params_at(point))
-        return replace(test, axial_strain=reach).run().curve
+        return replace(test, axial_strain=min(reach + 1.5 * _between_records(test), 0.499)).run().curve
+
+
+def _between_records(test: Any) -> float:
+    """Axial strain from one record to the next [-]; zero for a stand-in that has none of this."""
+    if not hasattr(test, "prepared"):
+        return 0.0
+    seconds = test.record_every * float(test.prepared.time_step)
+    return seconds * 2 * float(test.params.platen_speed) / float(test.cut.height)
 
 
 def is_force(scene: RandomScene, name: str) -> bool:

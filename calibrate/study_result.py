@@ -121,8 +121,8 @@ class StudyFit:
             volume = "" if test.volume is None else f", volumetric strain by {100 * test.volume_rms:.2g} % of strain"
             rows.append(
                 f"  {test.name}: {'predicted, not fitted; ' if test.held_out else ''}R misses by "
-                f"{100 * test.ratio_rms:.2g} %{volume} (root mean square); {100 * test.inside:.0f} % of the data within "
-                "the 95 % band"
+                f"{100 * test.ratio_rms:.2g} %{volume} (root mean square); {100 * test.inside:.0f} % of the data are "
+                "within the 95 % band"
             )
         rows.append(
             f"  {self.runs} runs, each on a packing of its own, {self.made} of them new"
@@ -339,9 +339,10 @@ def _notes(predictions, axes, found, intervals, priors, precisions, failed) -> l
         if np.isfinite(each.packings) and each.scatter > 0.5 * each.now:
             half = each.packings_for(0.5 * each.now)
             size = f"{100 * each.scatter:.2g} %" if each.relative else f"{each.scatter:.2g}"
+            more = f"; the mean of {np.ceil(half):.0f} packings would halve the interval" if half else ""
             told.append(
                 f"{name}: the scatter of the data's {each.packings:g} packing(s) alone leaves +-{size} (one standard "
-                "deviation)" + (f"; the mean of {np.ceil(half):.0f} packings would halve the interval." if half else ".")
+                f"deviation){more}."
             )
     for test in predictions:
         if test.slack > 1 and not test.held_out and not _matters(test):

@@ -34,7 +34,8 @@ def random_scene(case: Case) -> RandomScene:
             f"specimen.kind = '{case.specimen.kind}': fits on many packings are for random specimens; a lattice is "
             "fitted by derivatives, with its case file behind --case."
         )
-    sections = case.model_dump(exclude={"parameters": True, "specimen": {"seed"}, "test": {"axial_strain"}})
+    sections = case.model_dump()
+    del sections["parameters"], sections["specimen"]["seed"], sections["test"]["axial_strain"]
     if case.specimen.grading is not None:  # the numbers, not the place of the file
         from axijax.specimen.grading import sieve_curve
 

@@ -50,7 +50,7 @@ def _packings(text: str) -> float:
     except ValueError:
         number = 0.0
     if not number >= 1:
-        raise ValueError(f"--packings = '{text}': must be 'laboratory' or how many packings the curve is the mean of.")
+        raise ValueError(f"--packings = '{text}': must be 'laboratory', or of how many packings the curve is the mean.")
     return number
 
 
@@ -81,19 +81,12 @@ def _fit(tests: "list[StudyTest]", names, output: Path, executor: str | None = N
 def _shown() -> Iterator[tuple]:
     """What shows lines, and what shows how many runs are made and how long the rest takes."""
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = Console()
     columns = (
-        TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("at most"),
-        TimeRemainingColumn(), TextColumn("left"),
+        TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TextColumn("at most"), TimeRemainingColumn(),
+        TextColumn("left"),
     )  # fmt: skip
     with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
         task = bars.add_task("runs", total=None)
@@ -116,12 +109,14 @@ def _shown() -> Iterator[tuple]:
 def library(
     action: Annotated[str, typer.Argument(help="list, or clean.")] = "list",
     scene: Annotated[
-        str | None, typer.Argument(help="To clean: the first letters of a scene's name; left out: all.", show_default=False)
+        str | None, typer.Argument(help="Of one scene: the first letters of its name.", show_default="all")
     ] = None,
     folder: Annotated[
-        Path | None, typer.Option("--library", help="Folder of libraries.", show_default="AXIJAX_LIBRARY, or the user's")
+        Path | None, typer.Option("--library", help="Folder of libraries.", show_default="the user's")
     ] = None,
-    failed: Annotated[bool, typer.Option("--failed", help="Clean away failed runs only, so that they are tried again.")] = False,
+    failed: Annotated[
+        bool, typer.Option("--failed", help="Clean away failed runs only, which are then tried again.")
+    ] = False,
 ) -> None:
     """Tell what runs are kept for fits on random packings, or remove them.
 
@@ -141,8 +136,8 @@ def library(
         told = {name.rpartition(".")[2]: value.strip("'") for name, value in one.parts.items()}
         shown = ", ".join(f"{n} {told[n]}" for n in _SHOWN if told.get(n, "None") != "None")
         print(
-            f"{one.folder.name}  {one.runs} runs, {one.failed} failed, {one.bytes / 1e6:.1f} MB, {one.seconds / 60:.0f} "
-            f"minutes of computing; {shown or 'scene of a Python function'}"
+            f"{one.folder.name}  {one.runs} runs, {one.failed} failed, {one.bytes / 1e6:.1f} MB, "
+            f"{one.seconds / 60:.0f} minutes of computing; {shown or 'scene of a Python function'}"
         )
     return None
 
