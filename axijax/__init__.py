@@ -26,7 +26,7 @@ if _TYPE_CHECKING:
     from axijax.mechanics.dynamics import Scene
     from axijax.mechanics.gravity import Gravity
     from axijax.mechanics.hertz import Hertz
-    from axijax.mechanics.linear import Linear
+    from axijax.mechanics.linear import Linear, contact_stiffness
     from axijax.mechanics.membrane import Load
     from axijax.mechanics.params import Params
     from axijax.mechanics.rolling import Rolling, Torsion
@@ -34,7 +34,9 @@ if _TYPE_CHECKING:
     from axijax.triaxial.own_packing import packing, packing_of
     from axijax.triaxial.prepare import Prepared, prepare
     from axijax.triaxial.random_specimen import platen_speed, random_cylinder
-    from axijax.triaxial.records import Curve, SimulationError, find_peak, raise_for_status
+    from axijax.triaxial.records import Curve, SimulationError, find_peak, flat_top, raise_for_status
+    from axijax.triaxial.stage import Stage
+    from axijax.triaxial.stage_types import stage
     from axijax.triaxial.stages import simulate
     from axijax.triaxial.test import TriaxialTest
 
@@ -46,7 +48,7 @@ _HOMES = {
     "mechanics.dynamics": ("Scene",),
     "mechanics.gravity": ("Gravity",),
     "mechanics.hertz": ("Hertz",),
-    "mechanics.linear": ("Linear",),
+    "mechanics.linear": ("Linear", "contact_stiffness"),
     "mechanics.membrane": ("Load",),
     "mechanics.params": ("Params",),
     "mechanics.rolling": ("Rolling", "Torsion"),
@@ -54,7 +56,9 @@ _HOMES = {
     "triaxial.own_packing": ("packing", "packing_of"),
     "triaxial.prepare": ("Prepared", "prepare"),
     "triaxial.random_specimen": ("platen_speed", "random_cylinder"),
-    "triaxial.records": ("Curve", "SimulationError", "find_peak", "raise_for_status"),
+    "triaxial.records": ("Curve", "SimulationError", "find_peak", "flat_top", "raise_for_status"),
+    "triaxial.stage": ("Stage",),
+    "triaxial.stage_types": ("stage",),
     "triaxial.stages": ("simulate",),
     "triaxial.test": ("TriaxialTest",),
 }
@@ -77,12 +81,15 @@ __all__ = [
     "Sector",
     "SimulationError",
     "Specimen",
+    "Stage",
     "Torsion",
     "TriaxialTest",
+    "contact_stiffness",
     "fast_cpu_kernels",
     "fcc_cylinder",
     "fcc_octagon",
     "find_peak",
+    "flat_top",
     "packing",
     "packing_of",
     "platen_speed",
@@ -90,6 +97,7 @@ __all__ = [
     "raise_for_status",
     "random_cylinder",
     "simulate",
+    "stage",
     "theory",
     "use_compilation_cache",
 ]

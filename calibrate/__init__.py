@@ -32,6 +32,7 @@ _PLACES = {
     "study": ("LABORATORY", "StudyTest", "fit_study"),
     "study_result": ("StudyFit",),
     "file": ("calibrate_file",),
+    "sensitivity": ("Sensitivity", "further_tests", "sensitivity"),
 }
 _HOME = {name: module for module, names in _PLACES.items() for name in names}
 

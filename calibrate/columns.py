@@ -65,12 +65,12 @@ def read_columns(path: Path, request: Request) -> Measured:
     named = named_columns(file, request.columns)
 
     def score(cells: list[str]) -> int:
-        found = {quantity for quantity, _ in found_columns(cells, named)}
+        found = {quantity for quantity, _ in found_columns(file, cells, named)}
         return len(found) if found & {STRAIN, SHORTENING} else 0
 
     table = read_table(file, text, score)
     found: dict[str, list[Head]] = {}
-    for quantity, head in found_columns(table.header, named):
+    for quantity, head in found_columns(file, table.header, named):
         found.setdefault(quantity, []).append(head)
     if sections is None:
         table, facts = _one_test(table, found, request.test, of_comments(file, table.comments))

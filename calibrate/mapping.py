@@ -45,14 +45,16 @@ def named_columns(file: str, columns: Mapping[str, str]) -> dict[str, tuple[str,
     for key, text in columns.items():
         quantity = key if key in NAMES else quantity_of(key)
         if quantity is None:
-            raise DataError(f"columns: '{key}' is no quantity known here; it must be one of {', '.join(NAMES)}.")
+            raise DataError(
+                f"{file}: columns: {short(key)} is no quantity known here; it must be one of {', '.join(NAMES)}."
+            )
         if not isinstance(text, str) or not text.strip():
             raise DataError(
-                f"columns: {key} = {text!r}: must be the name of a column of {file}, its unit in brackets, or both, "
+                f"{file}: columns: {key} = {text!r}: must be the name of a column, its unit in brackets, or both, "
                 "such as 'Weg [mm]' or '[mm]'."
             )
         if quantity in named:
-            raise DataError(f"columns: {quantity} is named twice; name it once.")
+            raise DataError(f"{file}: columns: {quantity} is named twice; name it once.")
         whole = re.match(r"\s*[\[({]", text) is not None  # only a unit or a sign: the known spellings are looked for
         named[quantity] = (text, taken_apart(0, f"x {text}" if whole else text))
         if whole:
@@ -60,7 +62,7 @@ def named_columns(file: str, columns: Mapping[str, str]) -> dict[str, tuple[str,
     return named
 
 
-def found_columns(cells: list[str], named: Mapping[str, tuple[str, Head]]) -> list[tuple[str, Head]]:
+def found_columns(file: str, cells: list[str], named: Mapping[str, tuple[str, Head]]) -> list[tuple[str, Head]]:
     """(quantity, head) of the cells of a header that are known, or named."""
     pairs = []
     heads = [taken_apart(place, cell) for place, cell in enumerate(cells)]
@@ -76,7 +78,7 @@ def found_columns(cells: list[str], named: Mapping[str, tuple[str, Head]]) -> li
         if quantity is None or (head.place not in taken and _elsewhere(quantity, named)):
             continue
         said = named.get(quantity)
-        pairs.append((quantity, head if said is None else _merged(cells[head.place], head, said[1])))
+        pairs.append((quantity, head if said is None else _merged(file, cells[head.place], head, said[1])))
     return pairs
 
 
@@ -86,17 +88,17 @@ def _elsewhere(quantity: str, named: Mapping[str, tuple[str, Head]]) -> bool:
     return any(named.get(each, ("", None))[0] for each in alike.get(quantity, (quantity,)))
 
 
-def _merged(cell: str, head: Head, said: Head) -> Head:
+def _merged(file: str, cell: str, head: Head, said: Head) -> Head:
     """A head with the unit and the sign that are given for it."""
     mark, sign = said.mark or head.mark, head.sign if said.sign is None else said.sign
     if said.mark and head.mark and said.mark != head.mark and is_unit(head.mark):
         raise DataError(
-            f"column '{short(cell, quoted=False)}' is marked {short(head.mark)}, but columns say {short(said.mark)}; "
-            "drop one of them."
+            f"{file}: column '{short(cell, quoted=False)}' is marked {short(head.mark)}, but columns say "
+            f"{short(said.mark)}; drop one of them."
         )
     if None not in (said.sign, head.sign) and said.sign != head.sign:
         raise DataError(
-            f"column '{short(cell, quoted=False)}' says which sign is positive, and columns say the other one; drop "
-            "one of them."
+            f"{file}: column '{short(cell, quoted=False)}' says which sign is positive, and columns say the other one; "
+            "drop one of them."
         )
     return replace(head, mark=mark, sign=sign)

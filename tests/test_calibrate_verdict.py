@@ -153,7 +153,7 @@ def test_a_run_that_stops_before_its_peak(datum, tmp_path):
     if not isinstance(datum.functional, StrainAtPeak):
         found = fit_one(short, datum)
         said = not_converged(found, "the run does not reach '", tmp_path=tmp_path)
-        assert "largest stress ratio is at its end (strain 0.002): that is no peak" in said
+        assert "is at its end (strain 0.002 of 0.002): the curve still rises, and that is no peak" in said
         assert "larger axial_strain" in said
     assert not fit_parameters(short, datum, "f", start="test").converged
     assert not fit_by_descent(short, datum, "f").converged

@@ -51,7 +51,7 @@ def test_no_field_is_left_out_of_a_case():
     assert set(SECTIONS["parameters"][0].model_fields) == {name for kind in kinds for name in declared(kind)}
     ours = set(SECTIONS["test"][0].model_fields)
     theirs = {each.name for each in fields(TriaxialTest) if each.init}
-    sections = {"specimen", "sector", "scene", "params"}
+    sections = {"specimen", "sector", "scene", "params", "stages"}
     assert theirs - ours - sections == {"lateral_load", "dtype", "allow_unsafe_step"}
 
 

@@ -184,7 +184,7 @@ FOREIGN = {
     ),
     "a later version": (
         lambda stopped, tmp: damaged(stopped, tmp, header=of_header(stopped, version=99)),
-        ["format version 99", "reads 3"],
+        ["format version 99", "reads 4"],
     ),
     "an array short": (lambda stopped, tmp: damaged(stopped, tmp, **{"state.time": None}), ["'state.time'"]),
     "an array too many": (lambda stopped, tmp: damaged(stopped, tmp, poem=np.zeros(3)), ["'poem'"]),

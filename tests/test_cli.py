@@ -3,6 +3,7 @@
 import csv
 import subprocess
 import sys
+import threading
 
 import numpy as np
 import pytest
@@ -40,11 +41,14 @@ def saved(tmp_path_factory):
     """Two rows of the table, to a small strain, saved as the command saves them."""
     folder = tmp_path_factory.mktemp("table1")
     runs = (table1.PAPER_RUNS[0], table1.DEFORMED)
+    threads = []
     short, table1.DEFORMED_STRAIN, table1.AXIAL_STRAIN = (table1.DEFORMED_STRAIN, table1.AXIAL_STRAIN), 0.002, 0.002
     try:
-        rows = table1.run_table(runs)
+        rows = table1.run_table(runs, finished=lambda row: threads.append(threading.current_thread()))
     finally:
         table1.DEFORMED_STRAIN, table1.AXIAL_STRAIN = short
+    # What is told of each row as it ends is told by one thread, so that lines cannot run together.
+    assert threads == 2 * [threading.main_thread()]
     return rows, folder, table1.save(rows, folder)
 
 
@@ -53,11 +57,33 @@ def test_table_has_the_stated_columns(saved):
     with open(folder / "table1.csv") as file:
         table = list(csv.DictReader(file))
     assert tuple(table[0]) == (
-        "boundary", "sectors", "friction", "theory", "paper", "peak_ratio", "core_ratio", "virial_ratio",
-        "axial_strain_at_peak", "seconds",
+        "stiffness", "boundary", "sectors", "friction", "theory", "paper", "peak_ratio", "core_ratio", "virial_ratio",
+        "paper_strain", "axial_strain_at_peak", "flat_from", "flat_to", "seconds",
     )  # fmt: skip
+    assert [row["stiffness"] for row in table] == ["ball", "ball"]
     assert [row["friction"] for row in table] == ["0.05", "0.12278"]
     assert float(table[1]["peak_ratio"]) == pytest.approx(float(np.max(rows[1].run.curve.stress_ratio)), abs=1e-6)
+
+
+@pytest.mark.parametrize("width", [40, 60, 79, 80, 100, 120, 200])
+def test_the_table_is_as_wide_as_the_terminal_and_breaks_no_number(saved, width):
+    import io
+
+    from rich.console import Console
+
+    from axijax.app.cli.table1 import _cells, tables
+
+    rows, _, _ = saved
+    console = Console(file=io.StringIO(), width=width)
+    pieces = tables(rows, width)
+    for table in pieces:
+        console.print(table)
+    lines = console.file.getvalue().splitlines()
+    assert max(map(len, lines)) <= width and (len(pieces) == 1) == (width >= 120)
+    words = [line.split() for line in lines]
+    for row in rows:
+        told = [word for line in words if line[:3] == list(_cells(row).values())[:3] for word in line[3:]]
+        assert told == list(_cells(row).values())[3:]
 
 
 def test_curves_come_back_labelled(saved):

@@ -279,7 +279,7 @@ def test_table1_stops_within_a_moment_of_ctrl_c(monkeypatch):
 
         strain, stress_ratio = 0.0, 1.0
 
-    monkeypatch.setattr(table1, "make_test", lambda _: Slow())
+    monkeypatch.setattr(table1, "make_test", lambda *_: Slow())
     told = []
 
     def progress(run, done, ratio):

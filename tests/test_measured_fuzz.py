@@ -33,6 +33,8 @@ NAMES = {
     "axial": ["axial_stress", "Sigma_1", "s1", "\N{GREEK SMALL LETTER SIGMA}1"],
     "confining": ["confining_stress", "Sigma_3", "Confining Pressure", "s3"],
     "deviator": ["q", "dev_stress", "s1-s3"],
+    "mean": ["p", "p'", "Mean Stress", "mean effective stress"],
+    "void": ["e", "void_ratio", "Void Ratio"],
 }
 
 
@@ -49,15 +51,17 @@ def tables(draw):
     confining = np.full(size, draw(st.integers(1, 999)) * 1e3)
     values = {
         "strain": strain, "ratio": ratio, "volume": volume, "axial": ratio * confining, "confining": confining,
-        "deviator": (ratio - 1) * confining,
+        "deviator": (ratio - 1) * confining, "mean": (ratio + 2) / 3 * confining, "void": 1.7 * (1 - volume) - 1,
     }  # fmt: skip
-    wanted = ["strain", *draw(st.sampled_from([["ratio"], ["axial", "confining"], ["deviator", "confining"]]))]
-    wanted += draw(st.sampled_from([[], ["volume"]]))
+    pairs = ["axial confining", "deviator confining", "deviator mean", "axial mean", "mean confining", "axial deviator"]
+    wanted = ["strain", *draw(st.sampled_from(["ratio", *pairs, "ratio axial confining deviator mean"])).split()]
+    wanted += draw(st.sampled_from([[], ["volume"], ["void"]]))
     separator, comma = draw(st.sampled_from([(",", False), (";", False), ("\t", False), (";", True), ("\t", True)]))
     below = draw(st.booleans())
     columns = []
     for kind in draw(st.permutations(wanted)):
-        marks = {"ratio": {"-": 1.0}}.get(kind, STRAIN_MARKS if kind in ("strain", "volume") else STRESS_MARKS)
+        pure = {"ratio": {"-": 1.0}, "void": {"-": 1.0}}
+        marks = pure.get(kind, STRAIN_MARKS if kind in ("strain", "volume") else STRESS_MARKS)
         mark = draw(st.sampled_from(sorted(marks)))
         cells = [f"{value / marks[mark]:.14g}" for value in values[kind]]
         columns.append((draw(st.sampled_from(NAMES[kind])), mark, cells))
@@ -78,14 +82,30 @@ def tables(draw):
         lines.insert(draw(st.integers(0, len(lines))), draw(st.sampled_from(["", "# pause", "  "])))
     text = draw(st.sampled_from(["\n", "\r\n", "\r"])).join(lines)
     encoding = draw(st.sampled_from(["utf-8", "utf-8-sig", "utf-16"]))
-    return text.encode(encoding), (strain, ratio, volume if "volume" in wanted else None)
+    return text.encode(encoding), (strain, ratio, volume if {"volume", "void"} & set(wanted) else None)
 
 
+DATABASE = """\
+# ===== [4] PARTICLE_SIZE_DISTRIBUTION =====
+sieving_id,diameter[mm],finer[%]
+1,0.1,0
+1,0.3,100
+# ===== [5] TEST_PROGRAMME =====
+test_id,K_c[-],sigma_r0[kPa],e_0[-],Dr_0[%]
+TMD1,1,200,0.72,80.5
+# ===== [6] TEST_DATA =====
+test_id,eps_a[%],eps_v[%],sigma_r[kPa],sigma_v[kPa]
+TMD1,0,0,200,200
+TMD1,1,0.2,200,500
+TMD1,5,-1,200,400
+"""
 NASTY = [
     "", " ", "nan", "-inf", "1e999", "-1", "0", "1_0", "0x10", "1,234.5", "1.234,5", "1 234", "--3", "1e", "e5", "1D3",
     "%", "[%]", "kPa", "[", ")(", '"', '""', "'", "#", ";", ",", "\t", "\0", "\r", "\n", "\x0b", "\ufeff", "\u2028",
     "\xa0", "²", "½", "\u0661", "\U0001d7d9", "\U0001f4c8", "axial_strain", "stress_ratio [MPa]", "q", "s3", "dilation",
-    "volumetric_strain (+)", "1" * 140_000, "9" * 400, "(" * 500, "_" * 500, "5e-324", "1.7e308", "-0", "+1", ".5",
+    "volumetric_strain (+)", "# e0 0.7", "# s3 100 kPa", "test_id", "p", "e", "mm", "displacement [mm]",
+    "\nTMD2,1,1,1,1",
+    "# ===== [6] TEST_DATA", "1" * 140_000, "9" * 400, "(" * 500, "_" * 500, "5e-324", "1.7e308", "-0", "+1", ".5",
     "5.", "=A1+B2", "#N/A",
 ]  # fmt: skip
 NASTY_CELLS = st.integers(0, len(NASTY) - 1).map(NASTY.__getitem__)
@@ -97,6 +117,7 @@ def damaged(draw):
     content, _ = draw(tables())
     if draw(st.booleans()):
         text = content.decode("utf-16" if content.startswith(b"\xff\xfe") else "utf-8-sig")
+        text = draw(st.sampled_from([text, DATABASE, re.sub("[,;\t]", "  ", text)]))
         for _ in range(draw(st.integers(1, 4))):
             start = draw(st.integers(0, len(text)))
             stop = min(len(text), start + draw(st.sampled_from([0, 0, 1, 2, 5, 40])))
@@ -129,11 +150,18 @@ def file(tmp_path_factory):
     return tmp_path_factory.mktemp("fuzz") / "lab.csv"
 
 
-def opened(file, content):
+def opened(file, content, columns=None):
     file.write_bytes(content)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        return read_measured(file)
+        return read_measured(file, columns)
+
+
+MAPPINGS = st.dictionaries(
+    st.sampled_from(["axial_strain", "R", "eps_v", "q", "s3", "p", "e", "axial_displacement", "colour", "test_id"]),
+    st.one_of(st.sampled_from(["[%]", "[kPa]", "axial_strain [%]", "q", "(dilation positive)", "p [mm]"]), NASTY_CELLS),
+    max_size=3,
+)
 
 
 @FUZZ
@@ -142,18 +170,18 @@ def test_valid_tables_come_back_with_their_numbers(file, written):
     content, (strain, ratio, volume) = written
     curve = opened(file, content)
     np.testing.assert_allclose(curve.axial_strain, strain, rtol=1e-12)
-    np.testing.assert_allclose(curve.stress_ratio, ratio, rtol=1e-12)
+    np.testing.assert_allclose(curve.stress_ratio, ratio, rtol=1e-9)  # stresses made of others lose some digits
     if volume is None:
         assert curve.volumetric_strain is None
     else:
-        np.testing.assert_allclose(curve.volumetric_strain, volume, rtol=1e-12)
+        np.testing.assert_allclose(curve.volumetric_strain, volume, rtol=1e-12, atol=1e-13)
 
 
 @FUZZ
-@given(st.one_of(damaged(), ANYTHING))
-def test_any_file_is_read_or_refused_by_one_sentence(file, content):
+@given(st.one_of(damaged(), ANYTHING), st.one_of(st.none(), MAPPINGS))
+def test_any_file_is_read_or_refused_by_one_sentence(file, content, columns):
     try:
-        curve = opened(file, content)
+        curve = opened(file, content, columns)
     except DataError as error:
         said = str(error)
         assert said.startswith(("lab.csv: ", str(file))) and said.endswith((".", "?")), said

@@ -8,7 +8,7 @@ import pytest
 from cli_in_process import SMALL, axijax, write
 
 from axijax.app.batch_files import open_batch
-from axijax.triaxial.records import find_peak
+from axijax.triaxial.records import find_peak, flat_top
 
 STRAIN = np.linspace(0, 0.01, 201)
 RISING = 1 + 2 * np.tanh(STRAIN / 0.004)
@@ -66,6 +66,23 @@ def test_records_that_are_no_numbers_are_left_out():
     rising[190:] = np.nan
     assert find_peak(STRAIN, rising).record == 189 and not find_peak(STRAIN, rising).reached
     assert not find_peak(STRAIN, np.full(201, np.nan)).reached
+
+
+def test_a_flat_top_is_where_a_parabola_is_within_a_third_of_a_percent_of_its_peak():
+    """2.5 - (e - 0.004)^2 / w^2 has fallen by 0.3 % at w sqrt(0.0075); between records of 5e-5 a chord is straight."""
+    half = 0.004 * np.sqrt(0.003 * 2.5)
+    assert flat_top(STRAIN, humped(0.004)) == pytest.approx((0.004 - half, 0.004 + half), abs=1e-6)
+    ratio = humped(0.004)
+    ratio[100] = 2.5 * 0.996  # a dip behind the top ends it, whatever comes after
+    ratio[101:] = 2.499
+    start, end = flat_top(STRAIN, ratio)
+    assert start == pytest.approx(0.004 - half, abs=1e-6) and end < STRAIN[100]
+
+
+def test_a_top_that_is_cut_off_has_an_open_side():
+    start, end = flat_top(STRAIN, humped(0.0099))
+    assert start == pytest.approx(0.0099 - 0.004 * np.sqrt(0.003 * 2.5), abs=1e-6) and np.isnan(end)
+    assert np.isnan(flat_top(STRAIN, np.full(201, 2.0))).all() and np.isnan(flat_top([], [])).all()
 
 
 def test_units_of_strain_do_not_matter():

@@ -43,7 +43,7 @@ from axijax.mechanics.params import Params, check_params
 from axijax.mechanics.time_step import check_step, critical_time_step
 from axijax.triaxial.many import simulate_many
 from axijax.triaxial.progress import Progress
-from axijax.triaxial.records import RECORDS, Curve, warn_of_chatter
+from axijax.triaxial.records import Curve, records_of, warn_of_chatter
 from axijax.triaxial.stages import simulate
 from axijax.triaxial.test import TriaxialTest
 
@@ -239,7 +239,7 @@ def _each(task: Sequence[Member], tell, done) -> None:
         test = member.test
 
         def advance(now: Progress, member=member) -> None:
-            tell(member.name, min(now.strain / member.test.axial_strain, 1.0), now.stress_ratio)
+            tell(member.name, now.share(member.test), now.stress_ratio)
 
         curve, failure = None, None
         try:
@@ -272,8 +272,8 @@ def _together(task: Sequence[Member], tell, done) -> None:
         if curve.status or not acceptable(member):
             _each([member], tell, done)
             continue
-        wanted = curve.axial_strain <= member.test.axial_strain
-        curve = replace(curve, **{name: getattr(curve, name)[wanted] for name in RECORDS})
+        wanted = (curve.axial_strain <= member.test.axial_strain) | bool(member.test.stages)
+        curve = replace(curve, **{name: getattr(curve, name)[wanted] for name in records_of(curve)})
         warn_of_chatter(curve)
         tell(member.name, 1.0, float(curve.stress_ratio[-1]))
         done(Outcome(member, curve, None, seconds))

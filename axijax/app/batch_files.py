@@ -18,7 +18,7 @@ from axijax.core.files import remove_leftovers, writable_folder, write_whole
 from axijax.core.fingerprint import differences, fingerprint, versions
 from axijax.core.quantity import values_of
 from axijax.mechanics.params import Params
-from axijax.triaxial.records import RECORDS, Confinement, Curve, find_peak
+from axijax.triaxial.records import RECORDS, STAGE_RECORDS, Confinement, Curve, find_peak
 from axijax.triaxial.test import TriaxialTest
 
 if TYPE_CHECKING:
@@ -124,7 +124,8 @@ def read_member(folder: Path, wanted: Stored) -> Stored | None:
             "another folder, or delete it."
         )
     unbalanced, stress_error, steps = json.loads(data.attrs["confinement"])
-    records: dict[str, Any] = {name: data[name].values[0] for name in RECORDS} | {"status": np.int32(0)}
+    held = (*RECORDS, *(name for name in STAGE_RECORDS if name in data))
+    records: dict[str, Any] = {name: data[name].values[0] for name in held} | {"status": np.int32(0)}
     confinement = Confinement._make(map(np.asarray, (unbalanced, stress_error, int(steps))))
     curve = Curve(**records, confinement=confinement)
     return replace(wanted, curve=curve, seconds=float(data.seconds.values[0]))

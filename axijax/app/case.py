@@ -29,6 +29,7 @@ from pydantic import BaseModel, Field, ValidationError, create_model, model_seri
 
 from axijax.app.case_parts import ParametersCase, SceneCase, Section, bounds, build_params, check_used
 from axijax.app.case_reading import nearest, read_toml, sentence
+from axijax.app.case_stages import HELP, StageCase
 from axijax.core.quantity import settings
 from axijax.core.sector import Sector
 from axijax.mechanics.params import Params
@@ -190,10 +191,15 @@ class Case(Section):
     scene: SceneCase = SceneCase()
     parameters: ParametersCase = ParametersCase()
     test: TestSection = TestSection()
+    stage: tuple[StageCase, ...] = Field((), strict=False)
 
     @model_validator(mode="after")
     def _used(self) -> "Case":
         check_used(self.scene, self.parameters)
+        if self.stage and "axial_strain" in self.test.model_fields_set:
+            raise ValueError(
+                "test.axial_strain would do nothing beside [[stage]]: leave it out, and give the stages where they end"
+            )
         return self
 
     @model_serializer(mode="wrap")
@@ -201,7 +207,19 @@ class Case(Section):
         sections = dump(self)
         taken = self.scene.takes()
         sections["parameters"] = {name: value for name, value in sections["parameters"].items() if name in taken}
+        stages = [each.model_dump(exclude_unset=True, exclude_none=True) for each in self.stage]
+        if stages:
+            sections["stage"] = stages
+            sections["test"].pop("axial_strain")
+        else:
+            sections.pop("stage")
         return sections
+
+    def sections(self) -> dict[str, dict[str, Any]]:
+        """The fields of all sections, "stage 1" and so on among them, by name."""
+        sections = self.model_dump()
+        stages = {f"stage {number}": given for number, given in enumerate(sections.pop("stage", ()), 1)}
+        return sections | stages
 
     def build(self, specimen: Specimen | None = None) -> TriaxialTest:
         """The test. specimen: one that was made before, by `made`, and the case that `made` returned with it."""
@@ -215,6 +233,7 @@ class Case(Section):
             Sector(**self.sector.model_dump()),
             scene=self.scene.build(),
             params=build_params(self.scene, self.parameters),
+            stages=tuple(each.build() for each in self.stage),
             **options,
         )
 
@@ -224,7 +243,7 @@ class Case(Section):
         Raises ValueError where the fields do not fit one another; RuntimeError where a random one does not settle.
         """
         for section, values in self:
-            for name, value in values:
+            for name, value in () if section == "stage" else values:
                 if isinstance(value, float) and value != 0 and math.isfinite(value) and not LEAST <= abs(value) <= MOST:
                     raise ValueError(f"{section}.{name} = {value:g}: must lie between {LEAST:g} and {MOST:g} in size.")
         friction = self.test.confining_friction
@@ -312,6 +331,8 @@ def to_toml(case: Case) -> str:
                 continue
             if name == "parameters" and field not in case.scene.takes():
                 continue
+            if name == "test" and field == "axial_strain" and case.stage:
+                continue
             default = about.default
             if name == "sector" and field == "order" and KINDS[case.specimen.kind][1]:
                 allowed = f"{_allowed(about)}; this specimen takes {_listed(KINDS[case.specimen.kind][1])}"
@@ -322,7 +343,10 @@ def to_toml(case: Case) -> str:
             lines += textwrap.wrap(text, 110, initial_indent="# ", subsequent_indent="#   ", break_on_hyphens=False)
             value = getattr(values, field)
             lines.append(f"# {field} =" if value is None else f"{field} = {_toml(value)}")
-    return "\n".join(lines) + "\n"
+    for each in case.stage:
+        given = each.model_dump(exclude_unset=True, exclude_none=True)
+        lines += ["", "[[stage]]", *(f"{field} = {_toml(value)}" for field, value in given.items())]
+    return "\n".join(lines) + "\n" + ("" if case.stage else HELP)
 
 
 def _allowed(about) -> str:
@@ -371,7 +395,7 @@ def make_case(data: dict, source: str) -> Case:
             data = data | {"specimen": specimen | {name: str(Path(source).absolute().parent / specimen[name])}}
             if "\0" in specimen[name]:
                 raise ValueError(f"case file '{source}': specimen.{name} holds a zero byte: it must name a file.")
-    known = {name: model for name, (model, _) in SECTIONS.items()}
+    known = {name: model for name, (model, _) in SECTIONS.items()} | {"stage": StageCase}
     try:
         return Case.model_validate(data)
     except ValidationError as error:

@@ -35,7 +35,15 @@ def read_toml(path: Path | str) -> dict:
 
 def sentence(problem, sections: Mapping[str, type[BaseModel]]) -> str:
     """What pydantic found, for people. sections: the models of a case file's sections."""
-    where, given = ".".join(str(part)[:LONGEST] for part in problem["loc"]), problem["input"]
+    given, (first, *rest) = problem["input"], problem["loc"] or ("",)
+    if first == "stage" and rest and isinstance(rest[0], int):
+        told = sentence({**problem, "loc": ("stage", *rest[1:])}, sections)
+        return f"[[stage]] {rest[0] + 1}: {told.replace('stage.', '', 1)}"
+    if problem["type"] == "tuple_type" and first == "stage":
+        return "stage: must be tables, each headed [[stage]]"
+    if problem["type"] == "missing":
+        return f"{rest[-1] if rest else first} is missing: it has no default"
+    where = ".".join(str(part)[:LONGEST] for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
         *section, name = problem["loc"]
         known = list(sections[str(section[0])].model_fields if section else sections)

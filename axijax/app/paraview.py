@@ -1,4 +1,5 @@
-"""Snapshots for ParaView: VTK XML files of balls, contacts, membrane cells and platens, with axial strain as time.
+"""Snapshots for ParaView: VTK XML files of balls, contacts, membrane cells and platens, with axial strain as time (of a
+test in stages the strain travelled, to and fro).
 
     write = SnapshotWriter(Path("results/snapshots"), test, full=True)
     write(progress)        # at any stage of a run
@@ -50,9 +51,10 @@ class SnapshotWriter:
         remove_leftovers(self.folder)
         moment = snapshot(self.test, progress, self.full, self._confined(progress))
         # Strains are compared as the index writes them.
-        self.strains = [strain for strain in self.strains if float(strain) < float(_number(moment.axial_strain))]
+        now = _number(progress.path_length)
+        self.strains = [strain for strain in self.strains if float(strain) < float(now)]
         place = len(self.strains)
-        self.strains.append(_number(moment.axial_strain))
+        self.strains.append(now)
         parts = meshes(moment)
         files = {part: self.folder / f"{part}_{place:04d}.vtu" for part in PARTS}
         for part, path in files.items():

@@ -33,7 +33,8 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def stress_ratio_figure(rows) -> Figure:
-    """Stress ratio against axial strain of Table 1's runs, like figure 4(a) of the paper, with Thornton's lines."""
+    """Stress ratio against axial strain of Table 1's runs, like figure 4(a) of the paper, with Thornton's lines; a
+    band along each curve where it is within 0.3 % of its peak."""
     figure = Figure(figsize=(10, 5.5), layout="constrained")
     axes = figure.add_subplot()
     styles = {"periodic": "-", "rigid": "--", "full": ":"}
@@ -43,27 +44,35 @@ def stress_ratio_figure(rows) -> Figure:
         label = {
             "periodic": f"quarter, periodic planes, f = {run.friction:g}",
             "rigid": f"quarter, rigid planes, f = {run.friction:g}",
-            "full": f"full cylinder, f = {run.friction:g}",
+            "full": f"full cylinder, forces fixed, f = {run.friction:g}",
         }[run.boundary]
         full = run.boundary == "full"
         axes.plot(
             100 * np.asarray(curve.axial_strain), curve.stress_ratio, styles[run.boundary],
             color="#e63946" if full else colour, lw=2.2 if full else 1.6, label=label, zorder=3 if full else 2,
         )  # fmt: skip
-        values = row.values()
+        strain, ratio = np.asarray(curve.axial_strain), np.asarray(curve.stress_ratio)
+        start, end = row.flat
+        flat = ~(strain < start) & ~(strain > end) & (strain <= 0.01)  # an open side goes to the end
+        axes.plot(
+            100 * strain[flat], ratio[flat], color="#e63946" if full else colour, lw=8, alpha=0.25,
+            solid_capstyle="butt", zorder=1,
+        )  # fmt: skip
         axes.plot(
             100 * run.paper_strain, run.paper, "o" if run.boundary == "periodic" else "s",
             color=colour, mfc="white" if run.boundary != "periodic" else colour, ms=6, zorder=4,
         )  # fmt: skip
         if run.boundary == "periodic":
-            axes.axhline(values["theory"], color=colour, lw=0.8, alpha=0.6)
+            axes.axhline(run.theory, color=colour, lw=0.8, alpha=0.6)
             name = f"Thornton, f = {run.friction:g}"
-            axes.text(0.985, values["theory"] + 0.02, name, color=colour, size=8, ha="right")
+            axes.text(0.985, run.theory + 0.02, name, color=colour, size=8, ha="right")
+    axes.plot([], [], color="grey", lw=8, alpha=0.25, label="within 0.3 % of the peak")
     axes.plot([], [], "o", color="grey", label="paper's peaks, periodic planes")
     axes.plot([], [], "s", color="grey", mfc="white", label="paper's peaks, rigid planes and full system")
     axes.set(
         xlim=(0, 1), ylim=(1, 4), xlabel="axial strain [%]", ylabel="stress ratio s1/s3 [-]",
-        title="FCC specimen, triaxial compression (Cui & O'Sullivan 2005, figure 4a)",
+        title="FCC specimen, triaxial compression (Cui & O'Sullivan 2005, figure 4a)\n"
+        + (f"stiffness 1.5e9 read as the {rows[0].stiffness}'s" if rows else ""),
     )  # fmt: skip
     axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
     axes.grid(alpha=0.3)
@@ -95,7 +104,7 @@ def labels(results: Sequence[Result]) -> list[str]:
         flat = [
             {
                 f"{section}.{field}": value
-                for section, fields in case.model_dump().items()
+                for section, fields in case.sections().items()
                 for field, value in fields.items()
             }
             for case in cases

@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 
 from axijax.app import figures as pictures
 from axijax.app.case import SECTIONS, to_toml
+from axijax.app.case_stages import StageCase
 from axijax.app.checks import result_checks
 from axijax.app.plot import Measured, case_of, curve_figure, labels, thornton_ratio
 from axijax.app.results import RECORDS, Result
@@ -191,8 +192,8 @@ def _checks(result: Result, energy: bool) -> str:
 
 def _inputs(result: Result) -> str:
     parts = []
-    for section, given in result.case.model_dump().items():
-        model, about = SECTIONS[section]
+    for section, given in result.case.sections().items():
+        model, about = SECTIONS.get(section, (StageCase, StageCase.__doc__ or ""))
         rows = [[field, _shown(value), model.model_fields[field].description or ""] for field, value in given.items()]
         parts.append(f"<h3>{escape(section)}</h3><p class='note'>{escape(about)}</p>")
         parts.append(_table(["field", "value", "meaning and unit"], rows, style="inputs"))
@@ -200,7 +201,7 @@ def _inputs(result: Result) -> str:
         test = result.test
         rows = [
             ["time step", f"{test.prepared.time_step:.5g}", "taken, [T]"],
-            ["steps", str(test.prepared.numerics.records * test.record_every), "of the shear"],
+            ["steps", str(test.prepared.numerics.most_steps), "of the shear"],
             ["balls", str(len(test.cut)), "in the sector"],
             ["membrane balls", str(int(test.cut.membrane_zone.sum())), "of these, at the start"],
             ["height", f"{test.cut.height:.5g}", "of the specimen as made [L]"],

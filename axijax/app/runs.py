@@ -38,7 +38,7 @@ from axijax.app.specimen_file import NAME, load_specimen, save_specimen
 from axijax.core.files import locked, printable, writable_folder, write_whole, writing_to
 from axijax.core.quantity import values_of
 from axijax.core.signals import signals_wait
-from axijax.triaxial.checkpoint import load_progress
+from axijax.triaxial.checkpoint import load_progress, save_progress
 from axijax.triaxial.progress import Progress, Run
 from axijax.triaxial.records import SimulationError
 from axijax.triaxial.test import TriaxialTest
@@ -66,12 +66,15 @@ def run_case(
     snapshots: int = 0,
     command: Sequence[str] = (),
     packed: "Callable[[PackingReport], None]" = lambda report: None,
+    confined: Path | None = None,
+    keep_confined: Path | None = None,
 ) -> Run:
     """Run a case into a folder, which is made where there is none.
 
     name: of the run, for titles. overwrite: replace what another run left there. snapshots: how many to write for
     ParaView, evenly over the shear, one every 1000 steps at most. command: the command line, to be kept.
-    packed: called with what a random specimen has become.
+    packed: called with what a random specimen has become. confined: begin with the specimen that another case has kept
+    there, which may differ in its stages alone. keep_confined: file for the confined specimen.
 
     Raises ValueError where the case makes no sense, the folder cannot be written or holds a result, or files that no
     run wrote and this one would replace; SimulationError for a run that went wrong, whose curve so far is kept;
@@ -84,6 +87,7 @@ def run_case(
             refuse_to_lose(folder, overwrite)
             case, specimen, report = case.made()
             test = case.build(specimen)
+            start = None if confined is None else _start_from(Path(confined), test)
             if report is not None:
                 packed(report)
         except BaseException as error:
@@ -97,7 +101,8 @@ def run_case(
         info |= {"started": _now(), "seconds": 0.0, "resumed": 0, "axial_strain": 0.0, "snapshots": snapshots}
         if report is not None:
             info["packing"] = packing_values(report)
-        return _run(folder, case, test, None, info, tell, specimen if case.specimen.kind in GIVEN else None)
+        made_here = specimen if case.specimen.kind in GIVEN else None
+        return _run(folder, case, test, start, info, tell, made_here, keep_confined)
 
 
 def resume(folder: Path, tell: Tell = lambda test, now: None, axial_strain: float | None = None) -> Run:
@@ -110,8 +115,10 @@ def resume(folder: Path, tell: Tell = lambda test, now: None, axial_strain: floa
     with locked(writable_folder(folder)):
         info = read_info(folder)
         case = load_case(folder / "case.toml")
-        strain = _strain_wanted(folder, info, case.test.axial_strain, axial_strain)
-        case = case.with_test(axial_strain=strain)
+        if case.stage:
+            _check_stages_wanted(folder, info, axial_strain)
+        else:
+            case = case.with_test(axial_strain=_strain_wanted(folder, info, case.test.axial_strain, axial_strain))
         test = case.build(load_specimen(folder / NAME, case) if case.specimen.kind in GIVEN else None)
         checkpoint = folder / "checkpoint.npz"
         start = load_progress(checkpoint, test) if checkpoint.exists() else None
@@ -145,6 +152,17 @@ def _strain_wanted(folder: Path, info: dict[str, Any], reached: float, wanted: f
     return reached if wanted is None else wanted
 
 
+def _check_stages_wanted(folder: Path, info: dict[str, Any], wanted: float | None) -> None:
+    """Raise ValueError where a test in stages has nothing left to go on with."""
+    if wanted is not None:
+        raise ValueError(
+            f"--axial-strain = {wanted:g}: result '{folder}' is a test in stages, which end where its case.toml says."
+        )
+    if info["status"] in ("finished", "failed"):
+        why = f" ({info['message']}) and would again" if info["status"] == "failed" else ": its stages are done"
+        raise ValueError(f"result '{folder}' is {info['status']}{why}; run a changed case into another folder.")
+
+
 def _run(
     folder: Path,
     case: Case,
@@ -153,6 +171,7 @@ def _run(
     info: dict[str, Any],
     tell: Tell,
     specimen: "Specimen | None" = None,
+    keep_confined: Path | None = None,
 ) -> Run:
     """specimen: a random one that is not in the folder yet."""
     began = time.perf_counter()
@@ -178,14 +197,17 @@ def _run(
 
     def advance(now: Progress) -> None:
         info["axial_strain"] = now.strain
-        if due and now.strain >= due[0]:
+        if keep_confined is not None and now.taken == 0:
+            save_progress(Path(keep_confined), test, now)
+        done = now.share(test) if test.stages else now.strain
+        if due and done >= due[0]:
             try:
                 write_snapshot(now)
             except OSError:  # the disk, of which the rest of the run would suffer too
                 raise
             except Exception as error:
                 warn(f"the snapshot at {now.strain:.3g} axial strain could not be made ({error})")
-            due[:] = [strain for strain in due if strain > now.strain]
+            due[:] = [each for each in due if each > done]
         check()
         say(now)
         check()
@@ -207,7 +229,8 @@ def _run(
         write_whole(folder / "case.toml", lambda target: target.write_text(to_toml(case)))
         for name in CURVES:  # of a smaller strain; the checkpoint holds the records until there are new ones
             (folder / name).unlink(missing_ok=True)
-        due = _snapshot_strains(info["snapshots"], test.axial_strain, 0.0 if start is None else start.strain)
+        begun = 0.0 if start is None else start.share(test) if test.stages else start.strain
+        due = _snapshot_strains(info["snapshots"], 1.0 if test.stages else test.axial_strain, begun)
         if due:
             from axijax.app.paraview import SnapshotWriter
 
@@ -233,12 +256,13 @@ def _run(
             with contextlib.suppress(OSError):
                 note("interrupted", f"stopped by {str(error).rstrip('.') or type(error).__name__}")
             raise
-        note("finished")
+        note("finished", run.ended)
+        warn(run.ended or None)
         from axijax.app.plot import draw_curve  # Matplotlib only where something is drawn
 
         warn(draw_curve(folder))
         if info["warnings"]:
-            note("finished")
+            note("finished", run.ended)
     return run
 
 
@@ -254,9 +278,23 @@ def packing_values(report: "PackingReport") -> dict[str, Any]:
 
 
 def _snapshot_strains(number: int, axial_strain: float, start: float) -> list[float]:
-    """Where snapshots are due: evenly from the start of the shear to its end, those before `start` done."""
+    """Where snapshots are due: evenly from the start of the shear to its end, those before `start` done; of a test in
+    stages in shares of it."""
     strains = [axial_strain * k / (number - 1) for k in range(number)] if number > 1 else [axial_strain] * number
     return [strain for strain in strains if strain > start or start == 0]
+
+
+def _start_from(path: Path, test: TriaxialTest) -> Progress:
+    """A confined specimen that another case has kept. Raises ValueError where it is not one of this test."""
+    start = load_progress(path, test)
+    if start.taken:
+        raise ValueError(f"checkpoint '{path}' has been sheared already: give one that --keep-confined has written.")
+    for name, value in values_of(test.params).items():
+        kept = np.asarray(getattr(start.params, name))
+        if kept.shape != () or value != kept:
+            shown = f"{kept:g}" if kept.shape == () else f"{kept.size} values"
+            raise ValueError(f"checkpoint '{path}' was confined with {name} = {shown}, the case says {value:g}.")
+    return start
 
 
 def _check_same_parameters(folder: Path, test: TriaxialTest, start: Progress) -> None:

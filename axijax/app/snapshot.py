@@ -108,7 +108,7 @@ class Platens(NamedTuple):
 class Snapshot(NamedTuple):
     """One moment of a test; `full` where the sector's images are filled in.
 
-    axial_strain, stress_ratio: at this moment [-]. confining_stress [F/L^2].
+    axial_strain, stress_ratio: at this moment [-]. confining_stress: lateral stress at this moment [F/L^2].
     """
 
     axial_strain: float
@@ -204,10 +204,11 @@ def snapshot(
         share=np.ones(contact.size) if full else np.asarray(network.share, float)[contact],
     )  # fmt: skip
     forces = seen["platens"] * (n if full else 1)
+    lateral_stress = float(state.lateral_stress(progress.params))
     return Snapshot(
         axial_strain=progress.strain,
-        stress_ratio=float(seen["platens"].mean() / seen["section"] / float(progress.params.confining_stress)),
-        confining_stress=float(progress.params.confining_stress),
+        stress_ratio=float(seen["platens"].mean() / seen["section"] / lateral_stress),
+        confining_stress=lateral_stress,
         sector=sector,
         full=full,
         balls=balls if full else part(balls, balls.image == 0),
@@ -229,7 +230,7 @@ def _mechanics(scene, params, network, membrane, fixed, dt, state):
     sliding = jnp.zeros_like(network.first, bool)
     if forces.contacts.spring is not None:
         sliding = at_coulomb_limit(params, network, force, normal)
-    lateral = lateral_force(params.confining_stress, load, place)
+    lateral = lateral_force(state.lateral_stress(params), load, place)
     planes = zeros(network.radius.shape, network.dtype)
     if network.sector.boundary == "rigid":  # what the resultant holds beside contacts, platens and membrane
         planes = forces.resultant - resultants(forces.contacts, network)[0] - lateral

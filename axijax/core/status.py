@@ -2,7 +2,7 @@
 
 # Bits of the status code that a run carries; `curve.raise_for_status` turns them into sentences.
 NOT_FINITE, NOT_CONFINED, STALE_LIST, STALE_CELLS, ESCAPED, UNSTABLE, FULL_LIST = 1, 2, 4, 8, 16, 32, 256
-SENSELESS = 64
+SENSELESS, UNFINISHED, UNFOLLOWED = 64, 128, 512
 
 REMEDIES = {
     SENSELESS: (
@@ -22,6 +22,14 @@ REMEDIES = {
     FULL_LIST: (
         "a ball has more neighbours, or the membrane more balls, than a list that is made anew inside `simulate` has "
         "room for; use `run`, which makes room, or stop at a smaller axial_strain"
+    ),
+    UNFOLLOWED: (
+        "the specimen could not follow a stage to its end: its lateral or axial stress has fallen to nothing, or what "
+        "is asked for is outside its strength; the last records are those of where it stopped"
+    ),
+    UNFINISHED: (
+        "a stage had not reached its end when its records were used up: give it a longer time or a nearer "
+        "axial_strain, or use `run`, which goes on for as long as it takes"
     ),
     ESCAPED: "a ball has left the membrane or passed a platen; lower time_step or stop at a smaller axial_strain",
     UNSTABLE: (

@@ -19,7 +19,7 @@ from axijax.mechanics.contacts import ContactForces, ContactTerm
 from axijax.mechanics.lateral import LateralTerm
 from axijax.mechanics.membrane import Load
 from axijax.mechanics.params import Params
-from axijax.mechanics.state import State
+from axijax.mechanics.state import Loading, State
 from axijax.mechanics.term import Memory, Push, Term, total
 from axijax.mechanics.walls import WallTerm
 
@@ -116,12 +116,20 @@ def all_forces(scene: Scene, params: Params, network: ContactList, load: Load, d
 PlatenDrive = Callable[[Params, ContactList, Any, State, jax.Array, jax.Array], jax.Array]
 
 
-def make_step(scene: Scene, drive: PlatenDrive):
-    """A pure function step(params, network, load, dt, state) -> state for one scene and one way to move the platens."""
+# What the path remembers at t + dt, from the same and the platens' new speeds: `axijax.triaxial.paths.Path.loading`.
+LoadingRule = Callable[[Params, ContactList, Load, Any, State, jax.Array, jax.Array], Loading | None]
+
+
+def make_step(scene: Scene, drive: PlatenDrive, loading: LoadingRule | None = None):
+    """A pure function step(params, network, load, dt, state) -> state for one scene and one way to load the specimen.
+
+    drive: moves the platens. loading: changes the lateral stress; None where that is the confining stress throughout.
+    """
 
     def step(params: Params, network: ContactList, load: Load, dt, state: State) -> State:
         forces = all_forces(scene, params, network, load, dt, state)
-        platen_speeds = drive(params, network, dt, state, forces.platen_forces(network), load.section)
+        push = forces.platen_forces(network)
+        platen_speeds = drive(params, network, dt, state, push, load.section)
         velocity, spin = next_motion(params, network, dt, state, forces)
         return State(
             displacement=state.displacement + velocity * dt,
@@ -131,6 +139,7 @@ def make_step(scene: Scene, drive: PlatenDrive):
             platens=state.platens + dt * platen_speeds,
             platen_speeds=platen_speeds,
             time=state.time + dt,
+            loading=None if loading is None else loading(params, network, load, dt, state, push, platen_speeds),
         )
 
     return step

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 
 from axijax.mechanics.contact_list import ContactList
-from axijax.mechanics.dynamics import PlatenDrive, Scene, all_forces, make_step, positions, terms_of
+from axijax.mechanics.dynamics import LoadingRule, PlatenDrive, Scene, all_forces, make_step, positions, terms_of
 from axijax.mechanics.membrane import Load
 from axijax.mechanics.params import Params
 from axijax.mechanics.state import State
@@ -80,13 +80,13 @@ def open_ledger(dtype=jnp.float64) -> Ledger:
     return Ledger(*(jnp.zeros((), dtype) for _ in Ledger._fields))
 
 
-def make_ledger_step(scene: Scene, drive: PlatenDrive):
+def make_ledger_step(scene: Scene, drive: PlatenDrive, loading: LoadingRule | None = None):
     """A pure function step(params, network, load, dt, (state, ledger)) -> (state, ledger).
 
     The state is advanced by `axijax.mechanics.dynamics.make_step`; the compiler finds its forces and the ledger's to be
     the same.
     """
-    advance = make_step(scene, drive)
+    advance = make_step(scene, drive, loading)
 
     def step(params: Params, network: ContactList, load: Load, dt, both: tuple[State, Ledger]) -> tuple[State, Ledger]:
         state, ledger = both

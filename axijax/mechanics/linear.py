@@ -1,6 +1,7 @@
 """Linear contacts: springs of constant stiffness, between balls and against plates."""
 
 from dataclasses import dataclass
+from numbers import Real
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +19,7 @@ from axijax.mechanics.walls import Wall
 class Linear(Material):
     """Linear springs (Cundall & Strack 1979), by default those of Cui & O'Sullivan (2005); plates are like balls.
 
-    Stiffnesses are the contact's, not the ball's.
+    Stiffnesses are the contact's, not the ball's; `contact_stiffness` makes one of the other.
     """
 
     normal_stiffness: jax.Array | float = quantity(
@@ -58,3 +59,22 @@ class Linear(Material):
     def stiffest(self, network, stress, touching_within):
         normal, shear = float(self.normal_stiffness), float(self.shear_stiffness)
         return normal, shear, lambda balls, area, overlap: (normal, shear)
+
+
+def contact_stiffness(first, second=None):
+    """Stiffness of a contact, normal or tangential, from those of its balls [F/L]: springs in series, k1 k2/(k1 + k2).
+
+    second: left out, both balls are alike and it is half of theirs; infinite for a rigid partner. Numbers or arrays
+        that broadcast, traced ones too.
+
+    `Params` and case files hold the contact's. Other codes: PFC's linear model is given the balls' kn and ks, in
+    series. YADE's FrictMat makes its own mean of moduli, kn = 2 E1 r1 E2 r2/(E1 r1 + E2 r2), which is 2 E r of each
+    ball in series and E r for equal ones. LAMMPS (`gran/hooke`, `granular hooke`) is given the contact's.
+
+    Raises ValueError for a plain number that is not positive.
+    """
+    second = first if second is None else second
+    for value in (first, second):
+        if isinstance(value, Real) and not value > 0:
+            raise ValueError(f"stiffness = {value!r} of a ball: must be positive.")
+    return 1 / (1 / first + 1 / second)

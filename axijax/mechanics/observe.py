@@ -12,7 +12,7 @@ from axijax.mechanics.contacts import Geometry, geometry
 from axijax.mechanics.dynamics import Forces, Scene, all_forces, next_motion, positions
 from axijax.mechanics.membrane import Load, Membrane, lateral_force, membrane_radius
 from axijax.mechanics.params import Params
-from axijax.mechanics.state import State
+from axijax.mechanics.state import Loading, State
 from axijax.mechanics.volume import solid_volume, void_ratio
 
 
@@ -31,6 +31,10 @@ class Observation(NamedTuple):
     unbalanced_force: mean resultant on a ball over mean contact force [-].
     sliding_fraction: share of the touching contacts at the Coulomb limit [-].
     chatter: how far contacts move to and fro from one step to the next, see `chatter` [-].
+
+    Of a test in stages only, see `axijax.mechanics.state.Loading`:
+    lateral_stress: s3 at this moment, which is also that of the stress ratios [F/L^2].
+    pore_pressure [F/L^2], path_length, servo_error [-]; stage: its number, from 1.
     """
 
     stress_ratio: jax.Array
@@ -44,6 +48,11 @@ class Observation(NamedTuple):
     unbalanced_force: jax.Array
     sliding_fraction: jax.Array
     chatter: jax.Array
+    lateral_stress: jax.Array | None = None
+    pore_pressure: jax.Array | None = None
+    path_length: jax.Array | None = None
+    servo_error: jax.Array | None = None
+    stage: jax.Array | None = None
 
 
 def observe(
@@ -54,7 +63,8 @@ def observe(
     place = positions(network, state)
     height = state.platens[1] - state.platens[0]
     platen_force = forces.platen_forces(network).mean()
-    lateral = lateral_force(params.confining_stress, load, place)
+    stress, loading = state.lateral_stress(params), state.loading
+    lateral = lateral_force(stress, load, place)
     radius = membrane_radius(membrane, place)
     solids = solid_volume(network.radius, network.weight, network.sector)
     if membrane.zone_rule == "exposure":
@@ -77,7 +87,7 @@ def observe(
     if forces.contacts.moment_arm is not None:
         sliding = (at_coulomb_limit(params, network, force, normal) * touching).sum() / some
     return Observation(
-        stress_ratio=platen_force / load.section / params.confining_stress,
+        stress_ratio=platen_force / load.section / stress,
         virial_ratio=platen_force * height / jnp.maximum(-0.5 * lateral.dot(place).sum(), 1e-300),
         core_ratio=core_stress_ratio(network, forces, normal, place, radius, state.platens),
         height=height,
@@ -88,7 +98,19 @@ def observe(
         unbalanced_force=(resultant * network.weight).sum() / network.weight.sum() / jnp.maximum(mean_force, 1e-300),
         sliding_fraction=sliding,
         chatter=chatter(params, network, dt, state, forces, pair, normal),
+        **{} if loading is None else of_loading(loading, network.dtype),
     )
+
+
+def of_loading(loading: Loading, dtype) -> dict[str, jax.Array]:
+    """What of a path's memory is recorded."""
+    return {
+        "lateral_stress": loading.lateral_stress,
+        "pore_pressure": loading.pore_pressure,
+        "path_length": loading.path_length,
+        "servo_error": loading.error,
+        "stage": loading.stage.astype(dtype),
+    }
 
 
 def at_coulomb_limit(params: Params, network: ContactList, force: Vector, normal: Vector) -> jax.Array:

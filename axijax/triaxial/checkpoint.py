@@ -4,8 +4,16 @@
     longer = dataclasses.replace(test, axial_strain=0.05)
     run = longer.run(start=load_progress(Path("shear.npz"), longer))        # the same curve as without a stop
 
+A checkpoint in which nothing is sheared yet is a confined specimen, for all tests that differ in their stages alone:
+
+    confined = test.confined(checkpoint=Path("confined.npz"))
+    drained = test.run(start=confined)
+    undrained = replace(test, stages=(stage("compression", lateral="constant_volume", axial_strain=0.05),))
+    undrained.run(start=load_progress(Path("confined.npz"), undrained))
+
 The file is a NumPy .npz archive of every array under its name in `triaxial.Progress`, with a header in JSON: format and
-program versions, and what the test was. A checkpoint fits one test only, up to the axial strain where it stops.
+program versions, and what the test was. A checkpoint fits one test only, up to the axial strain where it stops, or the
+stages that it has not begun.
 """
 
 import json
@@ -24,14 +32,15 @@ from axijax.mechanics.dynamics import initial_state
 from axijax.mechanics.membrane import Load
 from axijax.mechanics.params import check_params
 from axijax.triaxial.checkpoint_arrays import what_is_wrong
-from axijax.triaxial.progress import Progress
+from axijax.triaxial.progress import Progress, fit_for_stages
 from axijax.triaxial.records import Confinement, no_records
+from axijax.triaxial.stages import start_loading, start_stage
 
 if TYPE_CHECKING:
     from axijax.triaxial.test import TriaxialTest
 
 FORMAT = "axijax shear in progress"
-VERSION = 3
+VERSION = 4
 
 
 def save_progress(path: Path, test: "TriaxialTest", progress: Progress) -> None:
@@ -41,7 +50,7 @@ def save_progress(path: Path, test: "TriaxialTest", progress: Progress) -> None:
         "format": FORMAT,
         "version": VERSION,
         **versions(),
-        "test": _description(test),
+        "test": _description(test, _reached(progress.stage, progress.begun, progress.taken)),
         # Python numbers promote differently from arrays, so they come back as what they were.
         "numbers": [name for name, leaf in leaves.items() if isinstance(leaf, int | float)],
     }
@@ -77,14 +86,18 @@ def load_progress(path: Path, test: "TriaxialTest") -> Progress:
             f"checkpoint '{path}' has format version {str(header.get('version'))[:20]}, this program reads {VERSION}: "
             "start again without it."
         )
-    other = differences(_description(test), header.get("test"))
+    reached, wrong_stage = _reached_in(arrays, len(test.stages))
+    other = differences(_description(test, reached), header.get("test"))
     if other:
         raise ValueError(
             f"checkpoint '{path}' is of another test: it differs in {other}; use the test that wrote it (only "
-            "axial_strain may change)."
+            "axial_strain may change, and stages that have not begun)."
         )
+    if wrong_stage:
+        raise ValueError(f"checkpoint '{path}' is damaged: {wrong_stage}; start again without it.")
     numbers = header.get("numbers")
-    template = _template(test, fixed="fixed.lateral" in arrays)
+    staged = "state.loading.stage" in arrays
+    template = _template(test, "fixed.lateral" in arrays, staged, reached)
     own = dict(_named(template))
     wrong = "".join(f"'{name[:60]}' is missing or unknown" for name in sorted(set(own) ^ set(arrays))[:1])
     wrong = wrong or what_is_wrong(arrays, own, numbers, len(test.cut), test.record_every)
@@ -102,7 +115,23 @@ def load_progress(path: Path, test: "TriaxialTest") -> Progress:
         check_params(progress.params, len(test.cut))
     except ValueError as error:
         raise ValueError(f"checkpoint '{path}' is damaged: {str(error).rstrip('.')}; start again without it.") from None
-    return progress
+    return fit_for_stages(test, progress)
+
+
+def _reached(stage: int, begun: bool, taken: int) -> int:
+    """How many of a test's stages have begun; -1 where nothing has been sheared at all."""
+    return int(stage) + bool(begun) if taken or begun or stage else -1
+
+
+def _reached_in(arrays, stages: int) -> tuple[int, str]:
+    """The same of a file's arrays, and what is wrong with them."""
+    found = [arrays.get(name) for name in ("stage", "begun", "taken", "steps", "first")]
+    if any(each is None or each.shape != () or each.dtype.kind not in "ib" for each in found):
+        return -1, "its counts of stages are missing or no numbers"
+    stage, begun, taken, steps, first = (int(each) for each in found)
+    if not (stage >= 0 and stage + begun <= stages and min(taken, steps, first) >= 0):
+        return -1, "its counts are those of no stage" if stage or begun else ""
+    return _reached(stage, bool(begun), taken), ""
 
 
 def _named(tree) -> list[tuple[str, object]]:
@@ -110,23 +139,44 @@ def _named(tree) -> list[tuple[str, object]]:
     return [(jax.tree_util.keystr(path).lstrip("."), leaf) for path, leaf in jax.tree.leaves_with_path(tree)]
 
 
-def _template(test: "TriaxialTest", fixed: bool) -> Progress:
-    """A tree of the shape that a progress of this test has."""
+def _template(test: "TriaxialTest", fixed: bool, staged: bool, reached: int) -> Progress:
+    """A tree of the shape that a progress of this test has, of which so many stages have begun."""
     zero = jnp.zeros(())
+    state = initial_state(test.scene, test.params, test.network, jnp.zeros(2))
+    if staged:
+        state = start_loading(test.params, state)
+    if staged and reached > 0:
+        prepared = test.prepared
+        path = prepared.stages[reached - 1]
+
+        def begun(state, params):
+            return start_stage(test.scene, path, prepared.lists, prepared.time_step, params, state, None)
+
+        shapes = jax.eval_shape(begun, state, test.params)
+        state = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
     return Progress(
         params=test.params,
         network=test.network,
         membrane=test.membrane,
-        state=initial_state(test.scene, test.params, test.network, jnp.zeros(2)),
+        state=state,
         fixed=Load(zero, zero) if fixed else None,
         confinement=Confinement(zero, zero, zero),
         height=0.0,
-        records=no_records(),
+        records=no_records(staged),
     )
 
 
-def _description(test: "TriaxialTest") -> dict[str, str]:
-    """All that decides how a shear goes on, but for where it stops and the parameters, which the progress holds."""
-    parts = fingerprint(test)
-    held = {name: part for name, part in parts.items() if name.split(".")[0] not in ("axial_strain", "params")}
+def _description(test: "TriaxialTest", reached: int) -> dict[str, str]:
+    """All that decides how a shear goes on, but for where it stops and the parameters, which the progress holds; of the
+    stages those that have begun."""
+
+    def decides(name: str) -> bool:
+        first, *rest = name.split(".")
+        if first == "stages":
+            return bool(rest) and int(rest[0]) <= reached
+        return first not in ("axial_strain", "params")
+
+    held = {name: part for name, part in fingerprint(test).items() if decides(name)}
+    if reached >= 0:
+        held["stages"] = "some" if test.stages else "none"
     return held | {"params": ", ".join(type(part).__name__ for part in parts_of(test.params))}

@@ -49,32 +49,64 @@ def march(
     rebuild_every: renew contact list and membrane each time after so many records; zero keeps them.
     fixed: the lateral load where it does not follow the membrane's cells.
     """
-    if not rebuild_every:
-        # Reverse mode keeps the state before each record and takes its steps again on the way back.
-        block = jax.checkpoint(_block(scene, path, record_every, lists, dt, params, state, fixed), prevent_cse=False)
-        state, (seen, status) = jax.lax.scan(block, state, None, length=records)
-        return state, seen, status
-
-    def stretch(carry, _):
-        lists, state = carry
-        state, seen, status = march(scene, path, rebuild_every, record_every, 0, lists, dt, params, state, fixed)
-        *lists, state = rebuild_in_jit(*lists, state)
-        return (tuple(lists), state), (seen, status | lists[0].status)
-
-    (_, state), kept = jax.lax.scan(stretch, (lists, state), None, length=-(-records // rebuild_every))
-    seen, status = jax.tree.map(lambda values: values.reshape(-1, *values.shape[2:])[:records], kept)
+    (_, state), seen, status, _ = march_stage(
+        scene, path, records, record_every, rebuild_every, lists, dt, params, state, fixed
+    )
     return state, seen, status
 
 
-def _block(scene: Scene, path: Path, record_every: int, lists: Lists, dt, params: Params, start: State, fixed):
+def march_stage(
+    scene: Scene,
+    path: Path,
+    records: int,
+    record_every: int,
+    rebuild_every: int,
+    lists: Lists,
+    dt,
+    params: Params,
+    state: State,
+    fixed: Load | None,
+    begins: jax.Array | bool = True,
+) -> tuple[tuple[Lists, State], Observation, jax.Array, Any]:
+    """As `march`, of a path that may end before: from then on its state stays. The last lists and state, observations,
+    status bits, and what the path has watched (T,). begins: whether it goes on at all."""
+    if not rebuild_every:
+        # Reverse mode keeps the state before each record and takes its steps again on the way back.
+        block = _block(scene, path, record_every, lists, dt, params, state, fixed, begins)
+        block = jax.checkpoint(block, prevent_cse=False)
+        state, (seen, status, watched) = jax.lax.scan(block, state, None, length=records)
+        return (lists, state), seen, status, watched
+
+    def stretch(carry, _):
+        (lists, state), seen, status, watched = march_stage(
+            scene, path, rebuild_every, record_every, 0, carry[0], dt, params, carry[1], fixed, begins
+        )
+        *lists, state = rebuild_in_jit(*lists, state)
+        return (tuple(lists), state), (seen, status | lists[0].status, watched)
+
+    last, kept = jax.lax.scan(stretch, (lists, state), None, length=-(-records // rebuild_every))
+    seen, status, watched = jax.tree.map(lambda values: values.reshape(-1, *values.shape[2:])[:records], kept)
+    return last, seen, status, watched
+
+
+def _block(scene: Scene, path: Path, record_every: int, lists: Lists, dt, params: Params, start: State, fixed, begins):
     """A scan's body: observes a state, and takes it `record_every` steps further."""
     network, membrane = lists
     step, observe_and_check = _stepping(scene, path, lists, dt, params, start)
 
     def block(state, _):
         load = current_load(membrane, network, state, fixed)
-        seen = observe_and_check(state, load)
-        return jax.lax.scan(lambda s, _: (step(load, s), None), state, None, length=record_every)[0], seen
+        seen, status = observe_and_check(state, load)
+        watched = path.watch(seen, state)
+
+        def further(state):
+            state = state._replace(loading=path.recorded(seen, state))
+            return jax.lax.scan(lambda s, _: (step(load, s), None), state, None, length=record_every)[0]
+
+        if type(path).going is Path.going:
+            return further(state), (seen, status, watched)
+        on = begins & path.going(watched, jnp.rint(state.time / dt))
+        return jax.lax.cond(on, further, lambda s: s, state), (seen, status, watched)
 
     return block
 
@@ -156,15 +188,20 @@ def march_until(
             recorded &= now.records < limit
             place = jnp.where(recorded, now.records, records)  # beyond the end: not written
             seen = jax.tree.map(lambda values, value: values.at[place].set(value, mode="drop"), seen, found)
+        steps = now.steps + taken
         watched = jax.tree.map(
-            lambda old, new: jnp.where(due == 0, new, old), now.watched, path.watch(found, network.dtype)
+            lambda old, new: jnp.where(due == 0, new, old), now.watched, path.watch(found, state)
         )
+        if state.loading is not None:
+            on = (due == 0) & path.going(watched, steps)
+            loading = jax.tree.map(partial(jnp.where, on), path.recorded(found, state), state.loading)
+            state = state._replace(loading=loading)
         return Stretch(
             state=state,
             seen=seen,
             records=now.records + recorded,
             due=jnp.where(recorded, record_every, due),
-            steps=now.steps + taken,
+            steps=steps,
             watched=watched,
             status=now.status | status,
             worn=wear(network, state, load) > 1,
@@ -179,7 +216,7 @@ def march_until(
     nothing = jnp.zeros((), jnp.int32)
     begun = Stretch(
         state, empty, nothing, jnp.asarray(due, jnp.int32), jnp.asarray(steps, jnp.int32),
-        path.watch(unseen, network.dtype), nothing, wear(network, state, load) > 1,
+        path.watch(unseen, state), nothing, wear(network, state, load) > 1,
     )  # fmt: skip
     return jax.lax.while_loop(going, further, (begun, load))[0]
 
@@ -188,7 +225,7 @@ def _stepping(scene: Scene, path: Path, lists: Lists, dt, params: Params, start:
     """A step of the stage, (load, state) -> state; and what is observed of a state and its load, with status bits."""
     network, membrane = lists
     scene, params = path.scene(scene), path.params(params, network, membrane, start.platens)
-    one = make_step(scene, path.platen_speeds)
+    one = make_step(scene, path.platen_speeds, None if start.loading is None else path.loading)
 
     def step(load: Load, state: State) -> State:
         return one(params, network, load, dt, state)

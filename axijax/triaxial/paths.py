@@ -1,8 +1,8 @@
-"""Paths: how a stage of a test moves the platens, and when it is done.
+"""Paths: how a stage of a test loads the specimen, and when it is done.
 
-A path is a pytree of its own numbers. From outside the package: subclass `Path`, register it as a dataclass, and put it
-into a prepared test (`axijax.triaxial.prepare.Prepared.shear`) or give it to `axijax.triaxial.engine`: `march_until`
-asks it when it is done, `march` makes as many records as it is told to.
+A path is a pytree of its own numbers. `axijax.triaxial.stage.Stage` joins a command for the platens to one for the
+membrane; from outside the package: subclass `Path`, register it as a dataclass, and give it to
+`TriaxialTest(stages=(..,))`, or to `axijax.triaxial.engine` itself.
 """
 
 from dataclasses import dataclass, replace
@@ -15,10 +15,10 @@ from axijax.core.tree import pytree
 from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.damping import BackgroundDamping
 from axijax.mechanics.dynamics import Scene
-from axijax.mechanics.membrane import Membrane
+from axijax.mechanics.membrane import Load, Membrane
 from axijax.mechanics.observe import Observation
 from axijax.mechanics.params import Params
-from axijax.mechanics.state import State
+from axijax.mechanics.state import Loading, State
 
 
 class Path:
@@ -39,13 +39,66 @@ class Path:
         """
         return jnp.zeros_like(state.platen_speeds)
 
-    def watch(self, seen: Observation, dtype) -> Any:
-        """What of an observation decides whether it goes on; a pytree."""
+    def begin(self, params: Params, network: ContactList, load: Load, state: State, push) -> Loading | None:
+        """What it remembers at its start, of a test in stages; `state.loading` has no memory yet. push: as above."""
+        return state.loading
+
+    def loading(
+        self, params: Params, network: ContactList, load: Load, dt, state: State, push, speeds
+    ) -> Loading | None:
+        """What it remembers at t + dt, the lateral stress included. speeds: of the platens at t + dt/2, as above."""
+        if state.loading is None:
+            return None
+        closed = (speeds[0] - speeds[1]) * dt / state.loading.height
+        return state.loading._replace(path_length=state.loading.path_length + jnp.abs(closed))
+
+    def recorded(self, seen: Observation, state: State) -> Loading | None:
+        """What it remembers after a record, of what it remembered before."""
+        return state.loading
+
+    def watch(self, seen: Observation, state: State) -> Any:
+        """What of a record decides whether it goes on; a pytree. Before the first all that is seen is infinite."""
         return None
 
-    def going(self, watched: Any, steps: jax.Array) -> jax.Array | bool:
-        """Whether it goes on after so many steps. watched: of the last observation."""
+    def going(self, watched: Any, steps: jax.Array | int) -> jax.Array | bool:
+        """Whether it goes on after so many steps. watched: of the last record."""
         return True
+
+    def failed(self, watched: Any) -> jax.Array | bool:
+        """Whether it has ended because the specimen could not follow it; no further stage begins then."""
+        return False
+
+    def ended(self, watched: Any) -> str:
+        """Of a stage that has ended: why it could not be followed to its end, as a sentence; empty where it could."""
+        return ""
+
+    def duration(self, start: "Expected") -> "Expected":
+        """Where a stage leads, and after how long it has surely ended; for the number of records of `simulate`."""
+        raise ValueError(
+            f"{type(self).__name__} does not say how long it takes: give it a method `duration`, see "
+            "axijax.triaxial.paths.Expected."
+        )
+
+    def check(self) -> None:
+        """Raise ValueError for numbers that make no sense."""
+
+
+class Expected(NamedTuple):
+    """Where a stage starts, or leads, as far as is known before anything runs.
+
+    height [L]; axial_strain: least and most [-]; axial_stress, lateral_stress [F/L^2], NaN where only the test tells.
+    speed: platen speed [L/T]. stiffness: of the specimen against a wave [F/L^2]; ramp: time in which speeds are reached
+    [T]. time: that the stage takes at most [T].
+    """
+
+    height: float
+    axial_strain: tuple[float, float]
+    axial_stress: float
+    lateral_stress: float
+    speed: float
+    stiffness: float
+    ramp: float
+    time: float = 0.0
 
 
 class Balance(NamedTuple):
@@ -108,8 +161,8 @@ class Isotropic(Path):
         inward = jnp.array([1.0, -1.0], push.dtype) * (load - push) / mass
         return ((1 - half) * state.platen_speeds + dt * inward) / (1 + half)
 
-    def watch(self, seen, dtype):
-        return Balance(seen.unbalanced_force, jnp.abs(seen.stress_ratio - 1).astype(dtype))
+    def watch(self, seen, state):
+        return Balance(seen.unbalanced_force, jnp.abs(seen.stress_ratio - 1).astype(state.displacement.x.dtype))
 
     def going(self, watched, steps):
         return (watched.worst > self.tolerance) & (steps < self.most_steps)

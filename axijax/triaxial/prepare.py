@@ -18,7 +18,7 @@ from axijax.mechanics.rebuild import roomy_lists
 from axijax.mechanics.rolling import RotationResistance
 from axijax.mechanics.time_step import DEFAULT_STEP, check_step, critical_time_step
 from axijax.triaxial.feasible import pressed_in
-from axijax.triaxial.paths import Compression, Isotropic, wave_speed
+from axijax.triaxial.paths import Compression, Expected, Isotropic, Path, wave_speed
 
 if TYPE_CHECKING:
     from axijax.triaxial.test import TriaxialTest
@@ -33,12 +33,19 @@ class Numerics:
     records, record_every: the shear makes so many records and takes so many steps after each.
     refresh: find the membrane's cells again with every record; otherwise they keep their first areas.
     rebuild_every: renew the lists inside jit each time after so many records; zero keeps them.
+    stage_records: of a test in stages, in place of `records`: of each stage.
     """
 
     records: int
     record_every: int = 50
     refresh: bool = True
     rebuild_every: int = 0
+    stage_records: tuple[int, ...] = ()
+
+    @property
+    def most_steps(self) -> int:
+        """Steps after confinement, at most."""
+        return (sum(self.stage_records) or self.records) * self.record_every
 
 
 @jax.tree_util.register_dataclass
@@ -48,6 +55,8 @@ class Prepared:
 
     platens: (2,) heights of the bottom and the top platen before confinement [L].
     time_step: of a step [T]. confinement, shear: the two stages' paths; `dataclasses.replace` puts in one of your own.
+    stages: the paths of a test in stages, which take the place of `shear`. ramp_time: in which platens reach their
+    speed [T].
     lateral_load: a constant load in place of the membrane's, or None.
     scene, numerics: static.
     """
@@ -61,6 +70,8 @@ class Prepared:
     lateral_load: Load | None
     scene: Scene = field(metadata={"static": True})
     numerics: Numerics = field(metadata={"static": True})
+    stages: tuple[Path, ...] = ()
+    ramp_time: jax.Array | float = 0.0
 
     @property
     def lists(self) -> tuple[ContactList, Membrane]:
@@ -111,12 +122,14 @@ def prepare(test: "TriaxialTest") -> Prepared:
         limit = critical_time_step(test.scene, params, network)
         step = DEFAULT_STEP * limit if step is None else step
         check_step(step, limit)
-    ramp = 8 * cut.height / wave_speed(params, network)
+    ramp = float(8 * cut.height / wave_speed(params, network))
     speed = float(params.platen_speed)
-    duration = test.axial_strain * cut.height / (2 * speed) + ramp / 2
+    durations = _durations(test, params, network, ramp)
+    duration = max(durations, default=test.axial_strain * cut.height / (2 * speed) + ramp / 2)
     if not duration / step <= MOST_STEPS:
+        goal = "a stage" if durations else f"axial_strain = {test.axial_strain:g}"
         raise ValueError(
-            f"axial_strain = {test.axial_strain:g} takes {duration / step:.2g} steps of {step:.3g} at platen_speed = "
+            f"{goal} takes {duration / step:.2g} steps of {step:.3g} at platen_speed = "
             f"{speed:g}: at most {MOST_STEPS:.2g} can be counted; raise platen_speed or stop at a smaller strain."
         )
     if test.lateral_load is not None:
@@ -129,7 +142,7 @@ def prepare(test: "TriaxialTest") -> Prepared:
         confinement=Isotropic(
             float(test.confining_friction) if test.confining_friction > 0 else None, test.tolerance, test.confine_steps
         ),
-        shear=Compression(float(ramp)),
+        shear=Compression(ramp),
         # What is constant does not age.
         lateral_load=None if test.lateral_load is None else replace(test.lateral_load, stale=0.0),
         scene=test.scene,
@@ -138,5 +151,29 @@ def prepare(test: "TriaxialTest") -> Prepared:
             record_every=test.record_every,
             refresh=test.refresh,
             rebuild_every=test.rebuild_every,
+            stage_records=tuple(int(np.ceil(each / step / test.record_every)) + 2 for each in durations),
         ),
+        stages=test.stages,
+        ramp_time=ramp,
     )
+
+
+def _durations(test: "TriaxialTest", params: Params, network: ContactList, ramp: float) -> list[float]:
+    """How long the stages of a test take at most [T]. Raises ValueError where one makes no sense, or has no end."""
+    stress, height = float(params.confining_stress), test.cut.height
+    density = float(np.sum(params.material.mass_per_cube * network.weight * network.radius**3)) / (
+        height * float(network.sector.angle) / 2 * float(np.hypot(*test.cut.positions[:2]).max()) ** 2
+    )
+    stiffness = density * float(wave_speed(params, network)) ** 2
+    now = Expected(height, (0.0, 0.0), stress, stress, float(params.platen_speed), stiffness, ramp)
+    found = []
+    for number, path in enumerate(test.stages, 1):
+        if not isinstance(path, Path):
+            raise ValueError(f"stages: stage {number} is {path!r}: must be an axijax.stage(..), or a path of your own.")
+        try:
+            path.check()
+            now = path.duration(now)
+        except ValueError as error:
+            raise ValueError(f"stage {number}: {error}") from None
+        found.append(float(now.time))
+    return found

@@ -17,7 +17,7 @@ from axijax.mechanics.time_step import check_step, critical_time_step
 from axijax.triaxial.engine import fixed_load, march_until
 from axijax.triaxial.prepare import warn_of_slipping
 from axijax.triaxial.records import Confinement, Curve, make_curve, no_records, raise_for_status
-from axijax.triaxial.stages import settle, start_shear
+from axijax.triaxial.stages import settle, start_loading, start_shear, start_stage
 
 if TYPE_CHECKING:
     from axijax.triaxial.test import TriaxialTest
@@ -32,6 +32,10 @@ class Progress(NamedTuple):
     height: distance of the platens at the end of confinement [L].
     records: what was observed so far, T values each.
     due: steps until the next record. taken: steps of the shear so far. worn: the lists need a rebuild before the next.
+
+    Of a test in stages:
+    stage: the place of the one that comes next, or goes on, in the test's; begun: whether it does, steps: taken in it.
+    first: the place of its first record. over: a stage could not be followed, and no further one begins.
     """
 
     params: Params
@@ -45,6 +49,31 @@ class Progress(NamedTuple):
     due: int = 0
     taken: int = 0
     worn: bool = False
+    stage: int = 0
+    begun: bool = False
+    steps: int = 0
+    first: int = 0
+    over: bool = False
+
+    def ended(self, test: "TriaxialTest") -> bool:
+        """Whether nothing is left of the test."""
+        if test.stages:
+            return self.over or self.stage == len(test.stages)
+        return self.strain >= test.axial_strain
+
+    def share(self, test: "TriaxialTest") -> float:
+        """How much of the test is done, from 0 to 1, as far as that is known."""
+        if not test.stages:
+            return min(self.strain / test.axial_strain, 1.0)
+        if self.ended(test):
+            return 1.0
+        most = test.prepared.numerics.stage_records[self.stage] * test.record_every
+        return (self.stage + min(self.steps / most, 1.0) * self.begun) / len(test.stages)
+
+    @property
+    def path_length(self) -> float:
+        """Axial strain travelled, to and fro [-]."""
+        return self.strain if self.state.loading is None else float(self.state.loading.path_length)
 
     @property
     def lists(self) -> tuple[ContactList, Membrane]:
@@ -82,9 +111,23 @@ def begin(test: "TriaxialTest", params: Params) -> Progress:
     if not float(balance.worst) <= test.tolerance:
         raise_for_status(NOT_CONFINED)
     state = start_shear(test.scene, params, lists, confined)
+    if test.stages:
+        state = start_loading(params, state)
     fixed = fixed_load(test.refresh, prepared.lateral_load, lists, state)
     height = float(state.platens[1] - state.platens[0])
-    return Progress(params, *lists, state, fixed, balance, height, no_records())
+    return Progress(params, *lists, state, fixed, balance, height, no_records(bool(test.stages)))
+
+
+def fit_for_stages(test: "TriaxialTest", now: Progress) -> Progress:
+    """A confined specimen for a test in stages, or for one without. Raises ValueError where it has been sheared."""
+    if (now.records.stage is not None) == bool(test.stages):
+        return now
+    if now.taken:
+        raise ValueError("start: has been sheared by a test in stages, and this one has none, or the other way round.")
+    state = now.state._replace(loading=None)
+    if test.stages:
+        state = start_loading(now.params, state)
+    return now._replace(state=state, records=no_records(bool(test.stages)))
 
 
 def go_on(test: "TriaxialTest", now: Progress) -> Progress:
@@ -96,15 +139,21 @@ def go_on(test: "TriaxialTest", now: Progress) -> Progress:
     lists, state = now.lists, now.state
     if now.worn:
         lists, state = rebuild_on_host(test.cut, lists, state)
+    path = prepared.shear
+    if test.stages:
+        path = prepared.stages[now.stage]
+        if not now.begun:
+            state = _start_stage(prepared.scene, path, lists, prepared.time_step, now.params, state, now.fixed)
+            now = now._replace(begun=True, due=0, steps=0, first=now.records.height.size)
     widely_graded = bool(test.cut.radius.max() > 2 * test.cut.radius.min())
     places = -(-SEGMENT // test.record_every)
-    every, number = test.rebuild_every, now.records.height.size
+    every, number = test.rebuild_every, now.records.height.size - now.first
     left = places + 1
     if every:  # records before the rebuild that is due; none where only steps to the next record are left before it
         left = 0 if number and number % every == 0 and now.due else every - number % every
     reached = march_until(
-        test.scene, places, test.record_every, True, widely_graded, prepared.shear, lists,
-        prepared.time_step, now.params, state, now.fixed, now.due, now.taken, now.worn,
+        test.scene, places, test.record_every, True, widely_graded, path, lists,
+        prepared.time_step, now.params, state, now.fixed, now.due, now.steps, now.worn,
         min(places, left), left <= places,
     )  # fmt: skip
     seen = jax.tree.map(lambda values: np.asarray(values)[: int(reached.records)], reached.seen)
@@ -112,26 +161,49 @@ def go_on(test: "TriaxialTest", now: Progress) -> Progress:
     if int(reached.status):
         raise_for_status(reached.status, make_curve(joined, now.confinement))
     network, membrane = lists
-    on_time = every and not int(reached.due) and joined.height.size % every == 0
-    return now._replace(
+    on_time = every and not int(reached.due) and (joined.height.size - now.first) % every == 0
+    after = now._replace(
         network=network, membrane=membrane, state=reached.state, records=joined,
-        due=int(reached.due), taken=int(reached.steps), worn=bool(reached.worn or on_time),
+        due=int(reached.due), taken=now.taken + int(reached.steps) - now.steps, steps=int(reached.steps),
+        worn=bool(reached.worn or on_time),
     )  # fmt: skip
+    if test.stages and not path.going(reached.watched, after.steps):
+        after = after._replace(stage=now.stage + 1, begun=False, over=bool(path.failed(reached.watched)))
+    return after
+
+
+_start_stage = jax.jit(start_stage, static_argnums=0)
+
+
+def why_over(test: "TriaxialTest", now: Progress) -> str:
+    """Why a test in stages has ended before its last one was done, as a sentence; empty where it has not."""
+    if not now.over:
+        return ""
+    path = test.stages[now.stage - 1]
+    last = jax.tree.map(lambda values: values[-1], now.records)
+    told = path.ended(path.watch(last, now.state))
+    return f"stage {now.stage} of {len(test.stages)} ended at {100 * now.strain:.3g} % axial strain: {told}"
 
 
 def curve_of(progress: Progress, axial_strain: float) -> Curve:
-    """The curve of what a shear has recorded up to this axial strain."""
+    """The curve of what a shear has recorded up to this axial strain; of a test in stages, all of it."""
+    if progress.records.stage is not None:
+        return make_curve(progress.records, progress.confinement)
     wanted = 1 - progress.records.height / progress.height <= axial_strain
     return make_curve(jax.tree.map(lambda values: values[wanted], progress.records), progress.confinement)
 
 
 class Run(NamedTuple):
-    """What a run leaves: its curve, and the last contact list, membrane and state."""
+    """What a run leaves: its curve, and the last contact list, membrane and state.
+
+    ended: of a test in stages, why it ended before its last one was done; empty where it did not.
+    """
 
     curve: Curve
     network: ContactList
     membrane: Membrane
     state: State
+    ended: str = ""
 
     @property
     def positions(self) -> np.ndarray:

@@ -42,10 +42,10 @@ class Recorded(NamedTuple):
     unit: str
 
 
-def recorded(long_name: str, unit: str = "1") -> Any:
+def recorded(long_name: str, unit: str = "1", **default) -> Any:
     """A field of `Curve` with one value a record. Files, reports and batches read its declaration from here; a quantity
-    of the same name in `observe.Observation` is taken over."""
-    return field(metadata={"record": Recorded(long_name, unit)})
+    of the same name in `observe.Observation` is taken over. default=None: of tests in stages only."""
+    return field(metadata={"record": Recorded(long_name, unit)}, **default)
 
 
 @jax.tree_util.register_dataclass
@@ -72,12 +72,25 @@ class Curve:
     sliding_fraction: jax.Array = recorded("share of the contacts at the Coulomb limit")
     chatter: jax.Array = recorded("motion of contacts to and fro from step to step, against what their springs hold")
     membrane_radius: jax.Array = recorded("radius Rm through the middle of the membrane zone", "L")
+    lateral_stress: jax.Array | None = recorded("effective lateral stress s3", "F L-2", default=None)
+    pore_pressure: jax.Array | None = recorded("pore pressure, or what would keep the volume", "F L-2", default=None)
+    path_length: jax.Array | None = recorded("axial strain travelled, to and fro", default=None)
+    servo_error: jax.Array | None = recorded("servo error as a stress, over the confining stress", default=None)
+    stage: jax.Array | None = recorded("number of the stage", default=None)
     confinement: Confinement
     status: jax.Array
 
 
-# The fields of a curve that hold one value a record, and what is said of each where it is written.
-RECORDS: dict[str, Recorded] = {f.name: f.metadata["record"] for f in fields(Curve) if "record" in f.metadata}
+# The fields of a curve that hold one value a record, and what is said of each where it is written; and those that only
+# tests in stages have.
+_ALL: dict[str, Recorded] = {f.name: f.metadata["record"] for f in fields(Curve) if "record" in f.metadata}
+STAGE_RECORDS = {f.name: _ALL[f.name] for f in fields(Curve) if f.name in _ALL and f.default is None}
+RECORDS = {name: about for name, about in _ALL.items() if name not in STAGE_RECORDS}
+
+
+def records_of(curve: Curve) -> dict[str, Recorded]:
+    """The fields that this curve holds, and what is said of each."""
+    return RECORDS if curve.stage is None else _ALL
 
 
 class Peak(NamedTuple):
@@ -143,6 +156,33 @@ def find_peak(axial_strain, stress_ratio) -> Peak:
     return Peak(int(sound[top]), float(strain[top]), float(ratio[top]), doubt)
 
 
+FLAT = 0.003  # share of its largest value within which a curve's top counts as flat
+
+
+def flat_top(axial_strain, stress_ratio) -> tuple[float, float]:
+    """Strains between which the stress ratio stays within 0.3 % of its largest value, around that value's (T values
+    each) [-]; linear between records. A side on which the curve ends before it has fallen so far is NaN, so that no end
+    of a curve is taken for the end of its top.
+    """
+    strain, ratio = np.asarray(axial_strain, float), np.asarray(stress_ratio, float)
+    sound = np.isfinite(strain) & np.isfinite(ratio)
+    strain, ratio = strain[sound], ratio[sound]
+    if not ratio.size:
+        return float("nan"), float("nan")
+    top, level = int(ratio.argmax()), (1 - FLAT) * float(ratio.max())
+
+    def crossing(outward: np.ndarray) -> float:
+        """Where the curve, followed away from its top, first falls below the level."""
+        below = np.flatnonzero(ratio[outward] < level)
+        if not below.size:
+            return float("nan")
+        inside, outside = outward[below[0] - 1], outward[below[0]]
+        share = (ratio[inside] - level) / (ratio[inside] - ratio[outside])
+        return float(strain[inside] + share * (strain[outside] - strain[inside]))
+
+    return crossing(np.arange(top, -1, -1)), crossing(np.arange(top, ratio.size))
+
+
 def raise_for_status(status, curve: Curve | None = None) -> None:
     """Raise SimulationError, naming what went wrong and what to do, unless a curve's status bits are all zero."""
     bits = int(np.bitwise_or.reduce(np.asarray(status).ravel()))
@@ -150,10 +190,10 @@ def raise_for_status(status, curve: Curve | None = None) -> None:
         raise SimulationError(f"the test went wrong: {described(bits)}.", curve)
 
 
-def no_records() -> Observation:
-    """An observation of no moment at all."""
+def no_records(staged: bool = False) -> Observation:
+    """An observation of no moment at all; staged: of a test in stages, whose records hold more."""
     empty: Any = np.zeros(0)
-    return Observation(*[empty] * len(Observation._fields))
+    return Observation(*[empty] * (len(Observation._fields) - (0 if staged else len(STAGE_RECORDS))))
 
 
 def warn_of_chatter(curve: Curve) -> None:
@@ -170,7 +210,7 @@ def warn_of_chatter(curve: Curve) -> None:
 def make_curve(seen: Observation, balance: Confinement, status=0) -> Curve:
     """A curve from T observations, strains counted from the first."""
     status = status | jnp.where(seen.chatter[jnp.argmax(seen.stress_ratio)] > CHATTER, UNSTABLE, 0)
-    taken = {name: getattr(seen, name) for name in RECORDS if name in Observation._fields}
+    taken = {name: getattr(seen, name) for name in _ALL if name in Observation._fields}
     return Curve(
         axial_strain=1 - seen.height / seen.height[0],
         volumetric_strain=1 - seen.volume / seen.volume[0],

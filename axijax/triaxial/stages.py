@@ -1,20 +1,20 @@
-"""The two stages of a test, confinement and shear, as functions of what is prepared and of the parameters."""
+"""The stages of a test, confinement and what follows, as functions of what is prepared and of the parameters."""
 
 import jax
 import jax.numpy as jnp
 
 from axijax.core.quantity import senseless
-from axijax.core.status import NOT_CONFINED, SENSELESS
+from axijax.core.status import NOT_CONFINED, SENSELESS, UNFINISHED, UNFOLLOWED
 from axijax.mechanics.contact_list import closing
 from axijax.mechanics.contact_search import rebuild_in_jit
-from axijax.mechanics.dynamics import Scene, initial_state
+from axijax.mechanics.dynamics import Scene, all_forces, initial_state
 from axijax.mechanics.membrane import Load
 from axijax.mechanics.params import Params
 from axijax.mechanics.rebuild import rebuild_on_host
-from axijax.mechanics.state import State
+from axijax.mechanics.state import Loading, State
 from axijax.specimen.specimen import Specimen
-from axijax.triaxial.engine import Lists, Stretch, fixed_load, march, march_until
-from axijax.triaxial.paths import Isotropic
+from axijax.triaxial.engine import Lists, Stretch, current_load, fixed_load, march, march_stage, march_until
+from axijax.triaxial.paths import Isotropic, Path
 from axijax.triaxial.prepare import Prepared
 from axijax.triaxial.records import Confinement, Curve, make_curve
 
@@ -111,6 +111,46 @@ def start_shear(scene: Scene, params: Params, lists: Lists, confined: State) -> 
     return rest._replace(displacement=confined.displacement, memory=memory)
 
 
+def start_loading(params: Params, state: State) -> State:
+    """The state at the end of confinement with what the paths of a test in stages remember."""
+    zero = jnp.zeros(())
+    stress = jnp.asarray(params.confining_stress, jnp.result_type(float))
+    height = state.platens[1] - state.platens[0]
+    return state._replace(loading=Loading(stress, zero, zero, zero, zero, height, jnp.zeros((), jnp.int32)))
+
+
+def start_stage(scene: Scene, path: Path, lists: Lists, dt, params: Params, state: State, fixed: Load | None) -> State:
+    """A state at the start of a stage: its clock at zero, and its path's memory in place of the last one's."""
+    network, membrane = lists
+    assert state.loading is not None
+    loading = state.loading._replace(stage=state.loading.stage + 1, memory=None)
+    state = state._replace(time=jnp.zeros_like(state.time), loading=loading)
+    load = current_load(membrane, network, state, fixed)
+    push = all_forces(scene, params, network, load, dt, state).platen_forces(network)
+    return state._replace(loading=path.begin(params, network, load, state, push))
+
+
+def _march_stages(prepared: Prepared, lists: Lists, params: Params, state: State, fixed: Load | None):
+    """All stages, one after the other, up to one that could not be followed: observations and status bits (T,)."""
+    numerics, kept, over = prepared.numerics, [], jnp.zeros((), bool)
+    state = start_loading(params, state)
+    for path, records in zip(prepared.stages, numerics.stage_records, strict=True):
+        state = start_stage(prepared.scene, path, lists, prepared.time_step, params, state, fixed)
+        size = records, numerics.record_every, numerics.rebuild_every
+        (lists, state), seen, status, watched = march_stage(
+            prepared.scene, path, *size, lists, prepared.time_step, params, state, fixed, ~over
+        )
+        last = jax.tree.map(lambda values: values[-1], watched)
+        status = status.at[-1].set(
+            status[-1]
+            | jnp.where(~over & path.going(last, records * numerics.record_every), UNFINISHED, 0)
+            | jnp.where(~over & path.failed(last), UNFOLLOWED, 0)
+        )
+        over |= path.failed(last)
+        kept.append((seen, status))
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *kept)
+
+
 @jax.jit
 def simulate(prepared: Prepared, params: Params) -> Curve:
     """The curve of a test, a pure function of its lists and parameters: confinement and shear.
@@ -125,8 +165,11 @@ def simulate(prepared: Prepared, params: Params) -> Curve:
         confined, balance = confine(prepared, params)
     start = start_shear(prepared.scene, params, lists, confined)
     fixed = fixed_load(numerics.refresh, prepared.lateral_load, lists, start)
-    size = numerics.records, numerics.record_every, numerics.rebuild_every
-    _, seen, status = march(prepared.scene, prepared.shear, *size, lists, dt, params, start, fixed)
+    if prepared.stages:
+        seen, status = _march_stages(prepared, lists, params, start, fixed)
+    else:
+        size = numerics.records, numerics.record_every, numerics.rebuild_every
+        _, seen, status = march(prepared.scene, prepared.shear, *size, lists, dt, params, start, fixed)
     settled = balance.worst <= prepared.confinement.tolerance
     status = jnp.bitwise_or.reduce(status) | jnp.where(settled, 0, NOT_CONFINED)
     status |= jnp.where(senseless(params), SENSELESS, 0)

@@ -29,8 +29,9 @@ from axijax.mechanics.params import Params, check_params
 from axijax.mechanics.state import State
 from axijax.specimen.specimen import Specimen, cut_to_sector
 from axijax.triaxial.checkpoint import save_progress
+from axijax.triaxial.paths import Path as LoadingPath
 from axijax.triaxial.prepare import Prepared, prepare
-from axijax.triaxial.progress import Progress, Run, begin, curve_of, go_on
+from axijax.triaxial.progress import Progress, Run, begin, curve_of, fit_for_stages, go_on, why_over
 from axijax.triaxial.records import Confinement, Curve, SimulationError, raise_for_status, warn_of_chatter
 from axijax.triaxial.stages import confine, simulate
 
@@ -45,6 +46,8 @@ class TriaxialTest:
     sector: order n and boundary, by default the paper's quarter between periodic planes.
     scene: what is modelled.
     params: reference parameters; time step and ramp are chosen for these.
+    stages: what follows confinement, one after the other, see `axijax.triaxial.stage`; none: compression at the platen
+        speed and constant lateral stress, to the axial strain.
     lateral_load: a constant load in place of the membrane's (see `membrane.Load`).
     dtype: np.float64, or np.float32 (see the README's sharp bits).
     allow_unsafe_step: accept any time step, to study what it does to a result.
@@ -82,12 +85,15 @@ class TriaxialTest:
         "random specimen keeps its density under the friction with which it was compacted",
         "-",
     )
+    stages: tuple[LoadingPath, ...] = ()
     lateral_load: Load | None = None
     dtype: type = np.float64
     allow_unsafe_step: bool = False
 
     def __post_init__(self) -> None:
         require_64_bits()
+        if not isinstance(self.stages, tuple) or not all(isinstance(each, LoadingPath) for each in self.stages):
+            raise ValueError(f"stages = {self.stages!r}: must be a tuple, such as (axijax.stage('hold', time=9),).")
         for name, about in settings(self).items():
             value = getattr(self, name)
             if isinstance(value, bool) and (about.unit or about.whole):
@@ -110,7 +116,7 @@ class TriaxialTest:
     @property
     def derived(self) -> dict[str, float]:
         """What follows from the settings by a rule of this program, for `axijax.core.fingerprint`."""
-        return {"time_step": float(self.prepared.time_step), "ramp_time": float(self.prepared.shear.ramp_time)}
+        return {"time_step": float(self.prepared.time_step), "ramp_time": float(self.prepared.ramp_time)}
 
     @property
     def network(self) -> ContactList:
@@ -140,6 +146,17 @@ class TriaxialTest:
         check_params(params, len(self.cut))
         return confine(self.prepared, params)
 
+    def confined(self, params: Params | None = None, checkpoint: Path | None = None) -> Progress:
+        """The confined specimen, from which `run(start=..)` of this test goes on, and of tests that differ in their
+        stages alone. checkpoint: file to keep it in, see `axijax.triaxial.checkpoint`.
+
+        Raises ValueError for bad parameters, and SimulationError where it finds no equilibrium.
+        """
+        now = begin(self, self.params if params is None else params)
+        if checkpoint is not None:
+            save_progress(checkpoint, self, now)
+        return now
+
     def run(
         self,
         params: Params | None = None,
@@ -147,7 +164,7 @@ class TriaxialTest:
         start: Progress | None = None,
         checkpoint: Path | None = None,
     ) -> Run:
-        """Run the test to its axial strain and return curve and final state; lists are rebuilt where needed.
+        """Run the test to its end and return curve and final state; lists are rebuilt where needed.
 
         progress: called with where the test stands: once before the first step of the shear, then about every 1000, and
             whenever the lists are made anew.
@@ -160,14 +177,14 @@ class TriaxialTest:
         require_64_bits()
         if start is not None and params is not None:
             raise ValueError("params: must be left out where a start is given, which brings its own.")
-        now = begin(self, self.params if params is None else params) if start is None else start
+        now = begin(self, self.params if params is None else params) if start is None else fit_for_stages(self, start)
         if checkpoint is not None:
             save_progress(checkpoint, self, now)
         written = time.monotonic()
         try:
             if progress is not None:
                 progress(now)
-            while now.strain < self.axial_strain:
+            while not now.ended(self):
                 now = go_on(self, now)
                 if progress is not None:
                     progress(now)
@@ -180,6 +197,9 @@ class TriaxialTest:
                 save_progress(checkpoint, self, now)
         curve = curve_of(now, self.axial_strain)
         raise_for_status(curve.status, curve)
+        if self.stages:
+            warn_of_chatter(curve)
+            return Run(curve, now.network, now.membrane, now.state, why_over(self, now))
         if curve.axial_strain.size < 3:
             raise SimulationError(
                 f"the test went wrong: the platens passed axial_strain = {self.axial_strain:g} before the third "

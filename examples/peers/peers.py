@@ -70,13 +70,40 @@ def write_scene(path: Path, test, state, load) -> None:
     )
 
 
+def write_packing(path: Path, test, state, load) -> None:
+    """Write what YADE needs of any full cylinder, unequal balls too: the confined state without its springs, and the
+    numbers, those of rolling resistance too where the test has it.
+
+    Arguments as in `write_scene`; our own shear must start without springs as well.
+    """
+    if test.sector.order != 1:
+        raise ValueError("peers take the full cylinder (sector order 1).")
+    from axijax.core.quantity import values_of
+    from axijax.mechanics.dynamics import positions
+
+    params = test.params
+    numbers = {name: float(value) for name, value in values_of(params).items()}
+    np.savez(
+        path,
+        positions=np.asarray(positions(test.network, state)),
+        radius=test.cut.radius,
+        platens=np.asarray(state.platens),
+        membrane_force=float(params.confining_stress) * np.asarray(load.lateral),
+        section=float(load.section),
+        time_step=test.prepared.time_step,
+        ramp_time=test.prepared.shear.ramp_time,
+        **numbers,
+    )
+
+
 def run_peer(
     code: str, scene: Path, steps: int, cores: tuple[int, ...] = (0,), record: int = 50, damping: str = "dashpot",
-    time_step: float | None = None, speed: float | None = None,
+    time_step: float | None = None, speed: float | None = None, lammps: str = "lammps_shear.py",
 ) -> Shear:  # fmt: skip
     """Shear a scene in another code on the given cores; one rank (LAMMPS) or thread (YADE) a core.
 
     damping: "dashpot" (LAMMPS only) or "local". time_step [T], speed of each platen [L/T]: the scene's unless given.
+    lammps: the script that drives LAMMPS.
 
     Raises RuntimeError with the end of the peer's output where it fails.
     """
@@ -84,7 +111,7 @@ def run_peer(
     for name, value in (("--time-step", time_step), ("--speed", speed)):
         options += [name, repr(float(value))] if value is not None else []
     if code == LAMMPS:
-        command = [sys.executable, str(HERE / "lammps_shear.py"), *options]
+        command = [sys.executable, str(HERE / lammps), *options]
         if len(cores) > 1:
             command = [str(Path(sys.executable).parent / "mpiexec"), "-n", str(len(cores)), *command]
     else:

@@ -1,9 +1,13 @@
 """Shear a scene with YADE; started by `peers.run_peer` as `yade -n -x yade_shear.py scene.npz --steps 4000`.
 
-Contacts are `Law2_ScGeom_FrictPhys_CundallStrack` with Cundall's local damping, which is what YADE is made for; for
-equal balls its kn is young * radius and its ks poisson * kn, and likewise against a wall. The spring of a contact turns
-with the common spin of its balls, and ours does not; in a triaxial test nothing spins that way. The membrane's forces
-are permanent forces, turned to the axis at every record. Prints one line of JSON.
+Contacts are `Law2_ScGeom_FrictPhys_CundallStrack` with Cundall's local damping, which is what YADE is made for. A scene
+with rolling resistance takes `Law2_ScGeom6D_CohFrictPhys_CohesionMoment` without cohesion, in its incremental form:
+rolling stiffness ks R1 R2 alphaKr, moment cut at etaRoll min(R1, R2) times the normal force, as ours. YADE makes
+kn = 2 E1 r1 E2 r2/(E1 r1 + E2 r2) and likewise ks of poisson * young, so each size of ball is a material with
+young = kn/radius; against a wall, which has one young for all sizes, kn and ks are put right where they are not.
+
+The spring of a contact turns with the common spin of its balls, and ours does not; in a triaxial test nothing spins
+that way. The membrane's forces are permanent forces, turned to the axis at every record. Prints one line of JSON.
 """
 
 import argparse
@@ -29,18 +33,50 @@ scene = np.load(options.scene)
 time_step = options.time_step or float(scene["time_step"])
 speed = options.speed or float(scene["platen_speed"])
 ramp = float(scene["ramp_time"])
-radius, stiffness = float(scene["radius"]), float(scene["normal_stiffness"])
+stiffness, shear = float(scene["normal_stiffness"]), float(scene["shear_stiffness"])
 positions = scene["positions"].T
+radius = np.broadcast_to(scene["radius"], len(positions)).tolist()
 bottom, top = (float(height) for height in scene["platens"])
+rolling = "rolling_friction" in scene
 
-balls = {"young": stiffness / radius, "poisson": float(scene["shear_stiffness"]) / stiffness}
-O.materials.append(  # noqa: F821 - YADE puts O and its classes into a script's namespace
-    FrictMat(density=float(scene["density"]), frictionAngle=math.atan(float(scene["friction"])), label="ball", **balls)  # noqa: F821
+balls, resisting = FrictMat, {}  # noqa: F821 - YADE puts its classes and O into a script's namespace
+if rolling:
+    balls = CohFrictMat  # noqa: F821
+    resisting = {
+        "momentRotationLaw": True, "isCohesive": False, "alphaKr": float(scene["rolling_stiffness"]),
+        "etaRoll": float(scene["rolling_friction"]), "alphaKtw": 0.0, "etaTwist": 0.0,
+    }  # fmt: skip
+
+
+def elastic(size):
+    """Of balls of this size, or of a wall that meets them."""
+    return {"young": stiffness / size, "poisson": shear / stiffness}
+
+
+angle, density = math.atan(float(scene["friction"])), float(scene["density"])
+materials = {
+    size: O.materials.append(balls(density=density, frictionAngle=angle, **elastic(size), **resisting))  # noqa: F821
+    for size in sorted(set(radius))
+}
+# A plain one: contacts with walls are springs without friction or moments.
+smooth = O.materials.append(FrictMat(density=1, frictionAngle=0, **elastic(float(np.mean(radius)))))  # noqa: F821
+O.bodies.append(  # noqa: F821
+    [
+        utils.sphere(tuple(place), size, material=materials[size])  # noqa: F821
+        for place, size in zip(positions.tolist(), radius)  # noqa: B905 - equally long
+    ]
 )
-O.materials.append(FrictMat(density=1, frictionAngle=0, label="platen", **balls))  # noqa: F821
-O.bodies.append([utils.sphere(tuple(place), radius, material="ball") for place in positions.tolist()])  # noqa: F821
-low = O.bodies.append(utils.wall((0, 0, bottom), axis=2, sense=1, material="platen"))  # noqa: F821
-high = O.bodies.append(utils.wall((0, 0, top), axis=2, sense=-1, material="platen"))  # noqa: F821
+low = O.bodies.append(utils.wall((0, 0, bottom), axis=2, sense=1, material=smooth))  # noqa: F821
+high = O.bodies.append(utils.wall((0, 0, top), axis=2, sense=-1, material=smooth))  # noqa: F821
+
+
+def stiffen():
+    """Walls meet balls of every size with the same stiffness."""
+    for wall in (low, high):
+        for contact in O.interactions.withBody(wall):  # noqa: F821
+            if contact.isReal and contact.phys.kn != stiffness:
+                contact.phys.kn, contact.phys.ks = stiffness, shear
+
 
 magnitude = scene["membrane_force"]
 zone = np.flatnonzero(magnitude).tolist()
@@ -65,18 +101,21 @@ def drive():
         driver.dead = True  # noqa: F821
 
 
+shapes = [Ig2_Sphere_Sphere_ScGeom6D() if rolling else Ig2_Sphere_Sphere_ScGeom(), Ig2_Wall_Sphere_ScGeom()]  # noqa: F821
+physics, laws = [Ip2_FrictMat_FrictMat_FrictPhys()], [Law2_ScGeom_FrictPhys_CundallStrack()]  # noqa: F821
+if rolling:
+    physics.append(Ip2_CohFrictMat_CohFrictMat_CohFrictPhys())  # noqa: F821
+    laws.append(Law2_ScGeom6D_CohFrictPhys_CohesionMoment(useIncrementalForm=True, always_use_moment_law=True))  # noqa: F821
 O.engines = [  # noqa: F821
     ForceResetter(),  # noqa: F821
-    InsertionSortCollider([Bo1_Sphere_Aabb(), Bo1_Wall_Aabb()], verletDist=SKIN * radius),  # noqa: F821
-    InteractionLoop(  # noqa: F821
-        [Ig2_Sphere_Sphere_ScGeom(), Ig2_Wall_Sphere_ScGeom()],  # noqa: F821
-        [Ip2_FrictMat_FrictMat_FrictPhys()],  # noqa: F821
-        [Law2_ScGeom_FrictPhys_CundallStrack()],  # noqa: F821
-    ),
+    InsertionSortCollider([Bo1_Sphere_Aabb(), Bo1_Wall_Aabb()], verletDist=SKIN * min(radius)),  # noqa: F821
+    InteractionLoop(shapes, physics, laws),  # noqa: F821
     PyRunner(command="drive()", iterPeriod=1, label="driver"),  # noqa: F821
     NewtonIntegrator(damping=float(scene["local_damping"]), gravity=(0, 0, 0)),  # noqa: F821
     PyRunner(command="record()", iterPeriod=options.record),  # noqa: F821
 ]
+if len(materials) > 1:
+    O.engines += [PyRunner(command="stiffen()", iterPeriod=10)]  # noqa: F821
 O.dt = time_step  # noqa: F821
 record()
 pushes.clear()

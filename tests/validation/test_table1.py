@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from axijax import Sector, TriaxialTest, fcc_octagon, raise_for_status
+from axijax import Params, Sector, TriaxialTest, contact_stiffness, fcc_octagon, flat_top, raise_for_status
+from axijax.app.table1 import PAPER_RUNS, PAPER_STIFFNESS
 
 # friction: peak in the paper, peak found by an independent program with the same membrane
 PERIODIC = {0.05: (2.09, 2.099), 0.12278: (2.46, 2.466), 0.2: (2.92, 2.911), 0.3: (3.64, 3.602)}
@@ -55,6 +56,19 @@ def test_periodic_rows(quarter, friction):
     assert float(curve.stress_ratio[place]) == pytest.approx(independent, rel=2e-3)
     assert float(np.max(curve.core_ratio)) == pytest.approx(theory(friction), rel=0.010)
     assert 0.0030 <= float(curve.axial_strain[place]) <= 0.0075
+
+
+def test_with_the_stiffness_of_two_balls_in_series_the_strains_are_the_papers():
+    """The default of `axijax table1`: its strains lie in the flat tops, where the contact's stiffness, that of the rows
+    above, reaches them by half to two thirds."""
+    own = contact_stiffness(PAPER_STIFFNESS)
+    params = Params(normal_stiffness=own, shear_stiffness=own)
+    test = TriaxialTest(fcc_octagon(), Sector(4), params=params, axial_strain=0.008)
+    for paper in PAPER_RUNS[1:4:2]:
+        curve = run(test, paper.friction)
+        start, end = flat_top(curve.axial_strain, curve.stress_ratio)
+        assert start < paper.paper_strain < end
+        assert float(curve.stress_ratio.max()) == pytest.approx(paper.paper, rel=0.025)
 
 
 @pytest.mark.slow

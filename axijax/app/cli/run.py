@@ -54,6 +54,12 @@ def run(
             min=0, max=100_000, help="Snapshots for ParaView, evenly over the shear (1000 steps apart at least)."
         ),
     ] = 0,
+    keep_confined: Annotated[
+        Path | None, typer.Option(help="File for the confined specimen, from which other cases can go on.")
+    ] = None,
+    confined: Annotated[
+        Path | None, typer.Option(help="Begin with a specimen kept so; the case may differ in its stages alone.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Run the triaxial test of a case file into a folder.
@@ -74,6 +80,7 @@ def run(
         done = run_case(
             loaded, folder, case.stem, live.tell,
             overwrite=overwrite, snapshots=snapshots, command=command, packed=live.packed,
+            confined=confined, keep_confined=keep_confined,
         )  # fmt: skip
         live.finished(done)
 
@@ -113,7 +120,7 @@ class _Live:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.started = time.perf_counter()
-        self.marks: list[tuple[float, float, int]] = []  # time, strain, steps
+        self.marks: list[tuple[float, float, int]] = []  # time, share done, steps
 
     def __enter__(self) -> "_Live":
         return self
@@ -124,12 +131,13 @@ class _Live:
     def tell(self, test: "TriaxialTest", now: "Progress | None") -> None:
         """Take note of where a run stands, and show it."""
         if now is None:
-            steps = test.prepared.numerics.records * test.record_every
-            return self.show("preparing", f"{len(test.cut)} balls, {steps} steps")
-        self.marks.append((time.perf_counter(), now.strain, now.taken))
+            return self.show("preparing", f"{len(test.cut)} balls, {test.prepared.numerics.most_steps} steps")
+        self.marks.append((time.perf_counter(), now.share(test), now.taken))
         if len(self.marks) == 1:
             balance, goal = now.confinement, f"shearing to {100 * test.axial_strain:g} %"
-            if now.strain > 0:
+            if test.stages:
+                goal = f"{len(test.stages)} stage{'s' if len(test.stages) > 1 else ''} to come"
+            if now.taken > 0:
                 self.show("resumed", f"going on from {100 * now.strain:.3g} % axial strain; {goal}")
             else:
                 found = f"{int(balance.steps)} steps to an unbalanced force of {float(balance.unbalanced_force):.1e}"
@@ -146,9 +154,9 @@ class _Live:
         marks = self.marks[1:][-20:]
         if len(marks) < 2:
             return None, None
-        (start, strain, steps), (end, reached, more) = marks[0], marks[-1]
+        (start, share, steps), (end, reached, more) = marks[0], marks[-1]
         rate = (more - steps) * len(test.cut) / (end - start)
-        left = max(test.axial_strain - reached, 0.0) * (end - start) / (reached - strain) if reached > strain else None
+        left = (1 - reached) * (end - start) / (reached - share) if reached > share else None
         return rate, left
 
     def show(self, event: str, text: str) -> None:
@@ -163,6 +171,10 @@ class _Live:
 
         peak = find_peak(run.curve.axial_strain, run.curve.stress_ratio)
         self.show("finished", f"{peak}; {time.perf_counter() - self.started:.1f} s; result in {self.folder}")
+
+
+def _doing(test: "TriaxialTest", now: "Progress") -> str:
+    return f"stage {min(now.stage + 1, len(test.stages))}" if test.stages else "shearing"
 
 
 class _PlainLines(_Live):
@@ -204,7 +216,7 @@ class _LiveLine(_Live):
         from rich.text import Text
 
         parts = [  # together within 80 columns
-            f"{'shearing' if rate else 'compiling'} {100 * now.strain:.3f} %",
+            f"{_doing(test, now) if rate else 'compiling'} {100 * now.strain:.3f} %",
             f"s1/s3 {now.stress_ratio:.4f}",
             f"unbalanced {now.unbalanced_force:.0e}",
         ]
@@ -233,7 +245,7 @@ class _JsonLines(_Live):
     def advance(self, test: "TriaxialTest", now: "Progress", rate: float | None, left: float | None) -> None:
         self.say(
             event="progress",
-            stage="shearing",
+            stage=_doing(test, now),
             axial_strain=now.strain,
             stress_ratio=now.stress_ratio,
             unbalanced_force=now.unbalanced_force,
