@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from axijax.core.quantity import Quantity
+from axijax.core.quantity import Coordinate, Quantity
 from calibrate.parameters import RATIO, SCALE, Prior, aliases, fittable
 from calibrate.scene import RandomScene, is_force
 
@@ -104,7 +104,7 @@ def _axis(scene: RandomScene, name: str, about: Quantity, reference, limits) -> 
         raise ValueError(f"lower bound of {name} = {low:g}: must be positive.")
     if straight:
         return Axis(name, replace(about, coordinate="linear"), low, high)
-    even = "logit" if about.coordinate == "logit" and high < about.top else "log"
+    even: Coordinate = "logit" if about.coordinate == "logit" and high < about.top else "log"
     return Axis(name, replace(about, coordinate=even), low, high)
 
 
@@ -114,7 +114,7 @@ def _allowed(least: float, about: Quantity) -> str:
     return low + (f" and up to {high:g}" if np.isfinite(high) else "")
 
 
-def physical(scene: RandomScene, axes: Sequence[Axis], values: Sequence[float]) -> dict[str, float]:
+def physical(scene: RandomScene, axes: Sequence[Axis], values: Sequence[float] | np.ndarray) -> dict[str, float]:
     """The scene's parameters that these values of the axes change; kn without ks keeps their ratio."""
     chosen = dict(zip((axis.name for axis in axes), map(float, values), strict=True))
     found = {name: value for name, value in chosen.items() if name != RATIO}

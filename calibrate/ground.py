@@ -60,7 +60,7 @@ class Ground:
         )
         return held and bool((np.abs(2 * self._shares(values) - 1) <= BEYOND).all())
 
-    def _shares(self, values: Sequence[float]) -> np.ndarray:
+    def _shares(self, values: Sequence[float] | np.ndarray) -> np.ndarray:
         return np.array([float(axis.to_unit(value)) for axis, value in zip(self.axes, values, strict=True)])
 
     def point(self, shares: np.ndarray) -> dict[str, float]:

@@ -13,6 +13,7 @@ import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -106,12 +107,12 @@ class Library:
             "failed": run.failed,
             "seconds": round(float(run.seconds), 3),
         }
-        arrays = {name: np.asarray(run.curve[name], float) for name in FIELDS} if run.curve is not None else {}
-        text = np.frombuffer(json.dumps(about).encode(), np.uint8)
+        arrays: dict[str, Any] = {name: np.asarray(run.curve[name], float) for name in FIELDS} if run.curve is not None else {}
+        arrays["about"] = np.frombuffer(json.dumps(about).encode(), np.uint8)
 
         def write(target: Path) -> None:
             with open(target, "wb") as file:
-                np.savez(file, about=text, **arrays)
+                np.savez(file, **arrays)
 
         write_whole(path, write)
 

@@ -9,8 +9,8 @@ from axijax.core.fingerprint import differences
 FILE = "fit.json"
 
 
-def claim(folder: Path, identity: Mapping[str, str] | None = None) -> None:
-    """Make sure that a fit may write its files into a folder.
+def claim(folder: Path, identity: Mapping[str, str] | None = None) -> bool:
+    """Make sure that a fit may write its files into a folder; whether it has been there before.
 
     identity: of the fit; None where its log says whose the folder is. Raises ValueError where `fit.json` there is no
     fit's, or another's, with what differs.
@@ -19,7 +19,7 @@ def claim(folder: Path, identity: Mapping[str, str] | None = None) -> None:
     try:
         held = json.loads(path.read_text())
     except FileNotFoundError:
-        return
+        return False
     except (OSError, ValueError):
         held = None
     if not isinstance(held, dict) or not {"status", "estimate"} <= set(held):
@@ -33,3 +33,4 @@ def claim(folder: Path, identity: Mapping[str, str] | None = None) -> None:
             raise ValueError(
                 f"'{path}' is of another fit, which differs in {other}: choose another --output, or delete it."
             )
+    return True

@@ -123,7 +123,7 @@ def fit_study(
     priors = _priors(axes, priors)
     nodes = [nodes_of(test.curve) for test in tests]
     grounds = _grounds(tests, nodes, axes, places, library)
-    spent = _Spent(runs, further, report, progress, executor, workers, sum(len(g.own) for g in grounds))
+    spent = _Spent(runs, further, report, progress, executor, workers)
     for ground in grounds:
         ground.read()
         spent.begin(ground)
@@ -229,7 +229,7 @@ def _grounds(tests, nodes: Sequence[Nodes], axes, places, library) -> list[_Shar
 class _Spent:
     """What a study may still run, and how it runs it."""
 
-    def __init__(self, runs, further, report, progress, executor, workers, fitted):
+    def __init__(self, runs, further, report, progress, executor, workers) -> None:
         self.runs, self.further, self.report, self.progress = runs, further, report, progress
         self.executor, self.workers = executor, workers
         self.allowed: dict[int, int] = {}
@@ -270,8 +270,8 @@ def _first(shared: _Shared, spent: _Spent, seed: int) -> None:
         count = min(wanted - len(ground.runs), spent.left(shared), len(points) - place)
         jobs = [(ground.point(points[k]), FIRST_SEED + k) for k in range(place, place + count)]
         place += count
-        known = [run for run in map(lambda job: ground.library.find(*job, shared.reach), jobs) if run is not None]
-        spent.allowed[id(shared)] += len(known)
+        known = [ground.library.find(point, number, shared.reach) for point, number in jobs]
+        spent.allowed[id(shared)] += sum(run is not None for run in known)
         spent.run(shared, jobs)
     least = least_runs(ground.dims + 1)
     if len(ground.runs) < least:

@@ -213,10 +213,10 @@ def concluded(
     rng = np.random.default_rng(seed)
     slack = max(one.slack for one in fitted)
     predictions = tuple(_predicted(test, by_name[test.name], values, rng, slack) for test in tests)
-    intervals = {
-        axis.label or axis.name: tuple(float(v) for v in axis.from_unit(column))
-        for axis, column in zip(axes, found.quantiles(SHARES).T, strict=True)
-    }
+    intervals = {}
+    for axis, column in zip(axes, found.quantiles(SHARES).T, strict=True):
+        low, middle, high = map(float, axis.from_unit(column))
+        intervals[axis.label or axis.name] = low, middle, high
     names = list(intervals)
     precisions = _precisions(fitted, axes, found)
     missed = [_miss(test) for test in predictions if test.slack > 1 and not test.held_out and _matters(test)]
@@ -253,12 +253,12 @@ def _predicted(test, one: Compared, values: np.ndarray, rng, slack: float) -> Pr
     inside = [(band[0] <= ratio) & (ratio <= band[2])]
     volume_band, volume_rms, dilatancy = None, float("nan"), np.full(3, np.nan)
     smooth, smooth_volume = one.nodes.split(one.surface.numbers(one.expected(values)[0]))
-    if volume is not None:
+    if volume is not None and volumes is not None and smooth_volume is not None:
         volume_band = np.quantile(volumes, SHARES, axis=0)
         inside.append((volume_band[0] <= volume) & (volume <= volume_band[2]))
         volume_rms = float(np.sqrt(((volume_band[1] - volume) ** 2).mean()))
         dilatancy = np.quantile((-np.gradient(smooth_volume, one.nodes.strain, axis=1)).max(1), SHARES)
-    notes = ()
+    notes: tuple[str, ...] = ()
     if one.state is not None and abs(one.state) > WIDE_STATE:
         notes = (
             f"{test.name}: its void ratio {test.void_ratio:g} is {2 * abs(one.state):.1f} standard deviations from the "

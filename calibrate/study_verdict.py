@@ -109,8 +109,9 @@ def verdicts(
                     "bounds, or doubt the data.",
                 )
             )
-    scattered = [k for k in np.flatnonzero(open_now) if _by_scatter(precisions[_name(axes[k])])]
-    for k in np.flatnonzero(open_now):
+    unknown = [k for k in range(len(axes)) if open_now[k]]
+    scattered = [k for k in unknown if _by_scatter(precisions[_name(axes[k])])]
+    for k in unknown:
         if k in scattered:
             continue
         low, _, high = intervals[_name(axes[k])]

@@ -140,14 +140,13 @@ def _told(problem, known) -> str:
 
 
 def _test(entry: TestEntry, case: Case, home: Path) -> StudyTest:
-    uncertainty = {
+    sizes: dict[str, Any] = {
         {"stress_ratio": "ratio_sigma", "volumetric_strain": "volume_sigma"}[name]: value
         for name, value in entry.uncertainty.items()
     }
-    curve = read_measured(
-        home / entry.data, entry.columns, test=entry.which, height=entry.height,
-        **uncertainty, **({"sigma_known": True} if uncertainty else {}),
-    )  # fmt: skip
+    if sizes:
+        sizes["sigma_known"] = True
+    curve = read_measured(home / entry.data, entry.columns, test=entry.which, height=entry.height, **sizes)
     name = entry.name or Path(entry.data).stem
     curve = cut(curve, entry.last_strain, name)
     if entry.specimen:

@@ -50,7 +50,7 @@ def _packings(text: str) -> float:
     except ValueError:
         number = 0.0
     if not number >= 1:
-        raise ValueError(f"--packings = '{text}': must be 'laboratory', or of how many packings the curve is the mean.")
+        raise ValueError(f"--packings = '{text}': must be 'laboratory', or a number of packings, 1 or more.")
     return number
 
 
@@ -61,13 +61,16 @@ def _fit(tests: "list[StudyTest]", names, output: Path, executor: str | None = N
     from calibrate.study import fit_study, identity
 
     folder = writable_folder(output)
-    claim(folder, identity(tests, names, options))
-    with locked(folder), filling(folder, "run it again; the runs that were made are in the library"), ExitStack() as stack:
+    own = identity(tests, names, options)
+    if claim(folder, own) and options.get("runs") is None:
+        options["further"] = 0  # the same fit again: what it found is told without another run
+    again = "run it again; the runs that were made are in the library"
+    with locked(folder), filling(folder, again), ExitStack() as stack:
         pool = None if executor is None else stack.enter_context(open_executor(executor))
         report, progress = stack.enter_context(_shown())
         options = {name: value for name, value in options.items() if value is not None}
         found = fit_study(tests, names, executor=pool, report=report, progress=progress, **options)
-        found.save(folder / "fit.json", identity(tests, names, options))
+        found.save(folder / "fit.json", own)
         found.save_samples(folder / "samples.csv")
         report(str(found))
         problem = draw_afterwards("fit.png", lambda: found.draw(folder / "fit.png"))
