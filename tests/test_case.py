@@ -11,8 +11,9 @@ from cli_in_process import axijax
 
 from axijax import Hertz, LocalDamping, Params, Rolling, Scene, Sector, Torsion, TriaxialTest, fcc_octagon
 from axijax.app import case
-from axijax.app.case import GIVEN, KINDS, SECTIONS, Case, default_case, load_case, to_toml
+from axijax.app.case import GIVEN, KINDS, SECTIONS, Case, default_case, load_case
 from axijax.app.case_parts import DAMPINGS, MATERIALS
+from axijax.app.case_writing import to_toml
 from axijax.core.quantity import declared, optional_parts, settings, values_of
 from axijax.specimen.grading import sieve_curve
 

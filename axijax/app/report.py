@@ -18,8 +18,9 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from axijax.app import figures as pictures
-from axijax.app.case import SECTIONS, to_toml
+from axijax.app.case import SECTIONS
 from axijax.app.case_stages import StageCase
+from axijax.app.case_writing import to_toml
 from axijax.app.checks import result_checks
 from axijax.app.labels import Measured, case_of, labels, thornton_ratio
 from axijax.app.plot import CURVES, curve_figure

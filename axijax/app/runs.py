@@ -31,7 +31,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from axijax.app import results
-from axijax.app.case import GIVEN, Case, load_case, to_toml
+from axijax.app.case import GIVEN, Case, load_case
+from axijax.app.case_writing import to_toml
 from axijax.app.overwrite import CURVES, clear, refuse_to_lose
 from axijax.app.results import curves_dataset, save_dataset, save_run
 from axijax.app.specimen_file import NAME, load_specimen, save_specimen

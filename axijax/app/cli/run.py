@@ -28,7 +28,8 @@ def new(
 
     Change what you like, delete what you do not care for, then `axijax check` and `axijax run` it.
     """
-    from axijax.app.case import default_case, to_toml
+    from axijax.app.case import default_case
+    from axijax.app.case_writing import to_toml
     from axijax.core.files import remove_leftovers, write_whole
 
     text = to_toml(default_case(kind))
