@@ -5,6 +5,7 @@ import textwrap
 from typing import Literal, get_args, get_origin
 
 from axijax.app.case import KINDS, SECTIONS, Case
+from axijax.app.case_stages import HELP
 
 
 def to_toml(case: Case) -> str:
