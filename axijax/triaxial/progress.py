@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import jax
 import numpy as np
 
+from axijax.core.shown import Card, per_cent, shown
 from axijax.core.status import NOT_CONFINED
 from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.dynamics import positions
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 SEGMENT = 1000  # steps between looks at the run from outside: progress, rebuilding, errors
 
 
+@shown
 class Progress(NamedTuple):
     """A shear in progress: all that `TriaxialTest.run` needs to go on.
 
@@ -69,6 +71,16 @@ class Progress(NamedTuple):
             return 1.0
         most = test.prepared.numerics.stage_records[self.stage] * test.record_every
         return (self.stage + min(self.steps / most, 1.0) * self.begun) / len(test.stages)
+
+    def _card(self) -> Card:
+        rows = {
+            "axial strain": per_cent(self.strain),
+            "stress ratio s1/s3 [-]": f"{self.stress_ratio:.4f}",
+            "unbalanced force [-]": f"{self.unbalanced_force:.1e}",
+            "steps": str(self.taken),
+            "records": str(self.records.height.size),
+        }
+        return Card("Progress", rows | ({"stage": str(self.stage + 1)} if self.begun else {}))
 
     @property
     def path_length(self) -> float:
@@ -193,6 +205,7 @@ def curve_of(progress: Progress, axial_strain: float) -> Curve:
     return make_curve(jax.tree.map(lambda values: values[wanted], progress.records), progress.confinement)
 
 
+@shown
 class Run(NamedTuple):
     """What a run leaves: its curve, and the last contact list, membrane and state.
 
@@ -209,3 +222,8 @@ class Run(NamedTuple):
     def positions(self) -> np.ndarray:
         """Ball centres at the end, (3, N) [L]; ball i is ball i of the test's `cut` throughout."""
         return np.asarray(positions(self.network, self.state))
+
+    def _card(self) -> Card:
+        card = self.curve._card()
+        last = {"balls in the sector": str(self.network.radius.size)} | ({"ended": self.ended} if self.ended else {})
+        return card._replace(title="Run", rows={**card.rows, **last})
