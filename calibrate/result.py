@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from axijax.core.files import write_whole
+from axijax.core.shown import Card, shown
 from calibrate.evaluate import Evaluation
 from calibrate.measured import MeasuredCurve
 from calibrate.model import Cost
@@ -19,6 +20,7 @@ RESOLVED = 1e-8  # standard error of a log (or logit) below which it is rounding
 ENTANGLED = 0.98  # correlation from which two parameters count as not told apart
 
 
+@shown
 @dataclass(frozen=True)
 class Fit:
     """Result of a fit of P parameters to M numbers.
@@ -98,6 +100,20 @@ class Fit:
         """The same result, no longer converged for a reason found afterwards, with a warning that says so."""
         status = f"not converged: {words}" if self.converged else self.status
         return replace(self, status=status, warnings=(*self.warnings, sentence))
+
+    def _card(self) -> Card:
+        found = {}
+        for place, (name, value) in enumerate(self.estimate.items()):
+            error, (low, high) = self.standard_error[name], self.interval[name]
+            found[name] = f"{value:.6g}"
+            found[name] += (
+                f" (no standard error: {self._no_error(place)})"
+                if np.isnan(error)
+                else f" +- {error:.2g} (one standard error: {low:.6g} to {high:.6g})"
+            )
+        rows = {"status": self.status, **found, "scatter [-]": f"{self.scatter:.3g}"}
+        rows |= {"cost": f"{self.cost.forward_equivalents:.1f} runs", "warnings": "; ".join(self.warnings) or "none"}
+        return Card("Fit", rows, brief=("status", *found))
 
     def __str__(self) -> str:
         rows = [f"fit {self.status}"]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from axijax.core.files import write_whole
+from axijax.core.shown import Card, shown
 from calibrate.axes import Axis
 from calibrate.library import StoredRun
 from calibrate.parameters import Prior
@@ -31,6 +32,7 @@ DRAWS = 1000
 SHARES = (0.025, 0.5, 0.975)
 
 
+@shown
 @dataclass(frozen=True)
 class Prediction:
     """One test: data and what is predicted, at S strains; compression positive, R and volumetric strain [-].
@@ -61,6 +63,7 @@ class Prediction:
     notes: tuple[str, ...] = ()
 
 
+@shown
 @dataclass(frozen=True)
 class StudyFit:
     """Result of a study of P parameters.
@@ -107,6 +110,18 @@ class StudyFit:
     @property
     def warnings(self) -> tuple[str, ...]:
         return tuple(each.sentence for each in self.verdicts)
+
+    def _card(self) -> Card:
+        found = {
+            name: f"{middle:.4g} (95 %: {low:.4g} to {high:.4g})"
+            for name, (low, middle, high) in self.intervals.items()
+        }
+        missed = {
+            f"{test.name}, {'predicted' if test.held_out else 'fitted'}": f"R misses by {100 * test.ratio_rms:.2g} %"
+            for test in self.predictions
+        }
+        rows = {"status": self.status, **found, **missed, "runs": f"{self.runs}, {self.made} of them new"}
+        return Card("StudyFit", rows, brief=("status", *found))
 
     def __str__(self) -> str:
         rows = [f"fit {self.status}"]

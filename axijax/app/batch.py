@@ -117,7 +117,8 @@ class BatchResult:
         more = len(self.curves) - len(peaks)
         rows = {"members": str(len(self.outcomes)), "failed": str(len(self.failures)), **peaks}
         rows |= {"and": f"{more} more"} if more > 0 else {}
-        return Card("BatchResult", rows | dict(itertools.islice(self.failures.items(), SHOWN)), "", ("members", "failed"))
+        rows |= dict(itertools.islice(self.failures.items(), SHOWN))
+        return Card("BatchResult", rows, brief=("members", "failed"))
 
     def dataset(self):
         """The curves as an xarray.Dataset with dimensions (member, record), as `open_batch` gives it."""

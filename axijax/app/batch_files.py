@@ -104,8 +104,8 @@ def open_folder(folder: Path) -> Path:
 
 
 def open_batch(folder: Path | str) -> "xarray.Dataset":
-    """All finished members of a batch's folder, sorted by their labels, numbers as numbers: curves over (member, record),
-    axial_strain among the coordinates, labels, parameters and peaks over (member,).
+    """All finished members of a batch's folder, sorted by their labels, numbers as numbers: curves over (member,
+    record), axial_strain among the coordinates, labels, parameters and peaks over (member,).
 
         open_batch("sweep").stress_ratio.plot.line(x="axial_strain", hue="member")
 

@@ -66,6 +66,7 @@ def run_case(
     overwrite: bool = False,
     snapshots: int = 0,
     command: Sequence[str] = (),
+    packing: Callable[[str], None] = lambda told: None,
     packed: "Callable[[PackingReport], None]" = lambda report: None,
     confined: Path | None = None,
     keep_confined: Path | None = None,
@@ -74,8 +75,9 @@ def run_case(
 
     name: of the run, for titles. overwrite: replace what another run left there. snapshots: how many to write for
     ParaView, evenly over the shear, one every 1000 steps at most. command: the command line, to be kept.
-    packed: called with what a random specimen has become. confined: begin with the specimen that another case has kept
-    there, which may differ in its stages alone. keep_confined: file for the confined specimen.
+    packing: called with what the packing of a random specimen is at, packed: with what it has become. confined: begin
+    with the specimen that another case has kept there, which may differ in its stages alone. keep_confined: file for
+    the confined specimen.
 
     Raises ValueError where the case makes no sense, the folder cannot be written or holds a result, or files that no
     run wrote and this one would replace; SimulationError for a run that went wrong, whose curve so far is kept;
@@ -86,7 +88,7 @@ def run_case(
     with locked(writable_folder(folder)):
         try:
             refuse_to_lose(folder, overwrite)
-            case, specimen, report = case.made()
+            case, specimen, report = case.made(packing)
             test = case.build(specimen)
             start = None if confined is None else _start_from(Path(confined), test)
             if report is not None:

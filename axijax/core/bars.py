@@ -6,7 +6,7 @@
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Protocol
 
@@ -53,6 +53,36 @@ def bar(console: "Console | None" = None) -> Iterator[Show]:
     finally:
         with suppress(OSError):  # the terminal may be gone
             bars.stop()
+
+
+@contextmanager
+def telling(progress: Callable[[str], None] | bool) -> Iterator[Callable[[str], None]]:
+    """The function that is told what goes on: one that was given, a line with a moving bar for True, or none."""
+    if callable(progress):
+        yield progress
+    elif progress:
+        with bar() as show:
+            yield show
+    else:
+        yield lambda told: None
+
+
+@contextmanager
+def counting(progress: Callable[..., object] | bool) -> Iterator[Callable[..., object]]:
+    """The function that is told how many runs are made and how many are allowed: one that was given, a bar for True, or
+    none. The time left is that of all that are allowed, so at most."""
+    if callable(progress) or not progress:
+        yield progress or (lambda *_: None)
+        return
+    pace = Pace()
+    with bar() as show:
+        show("the first run")
+
+        def tell(done: float, most: float, *_: object) -> None:
+            pace.mark(done / most)
+            show(f"fitting  {done:.0f} of at most {most:g} runs", done / most, pace.left)
+
+        yield tell
 
 
 def duration(seconds: float) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from axijax.app.cli.errors import filling
+from axijax.app.cli.say import say
 
 if TYPE_CHECKING:
     from calibrate import MeasuredCurve
@@ -27,8 +28,8 @@ def calibrate(
             metavar="QUANTITY=NAME [UNIT]",
             rich_help_panel=READING,
             show_default=False,
-            help="A column's name, unit, sign, or part of it, where the header does not say: 'axial_displacement=Weg "
-            "\\[mm]', 'q=\\[kPa]', 'eps_v=dV/V (dilation positive)'. Several times.",
+            help="A column's name, unit, sign, or part of it, where the header does not say: 'axial_displacement = Weg "
+            "[mm]', 'q=[kPa]', 'eps_v=dV/V (dilation positive)'. Several times.",
         ),
     ] = None,
     test: Annotated[
@@ -159,10 +160,13 @@ def calibrate(
     if idle or packings is not None:
         raise ValueError(f"--{(idle or ['packings'])[0]}: would do nothing on a lattice; leave it out.")
     _before_packing(loaded, curve, fit, given)
-    built = loaded.build()
+    built = loaded.build()  # no random specimen, which would take its time
     folder = writable_folder(output)
     with locked(folder), filling(folder, "run it again, and what is in evaluations.jsonl is not computed again"):
-        found = calibrate_file(curve, fit, built, folder, check=check, max_runs=60 if runs is None else runs, **given)
+        found = calibrate_file(
+            curve, fit, built, folder, check=check, max_runs=60 if runs is None else runs, report=say, progress=True,
+            **given,
+        )  # fmt: skip
     if not found.converged:
         raise typer.Exit(1)
 

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from axijax.app.cli.errors import filling
+from axijax.app.cli.say import say
 
 AGAIN = "run it again"
 _RESULTS = typer.Argument(
@@ -130,4 +131,4 @@ def _measured(path: Path | None):
 
 
 def _tell(paths: list[Path]) -> None:
-    print("Written: " + ", ".join(str(path) for path in paths))
+    say("Written: " + ", ".join(str(path) for path in paths))
