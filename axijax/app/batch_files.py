@@ -183,7 +183,7 @@ def identity(test: TriaxialTest, params: Params) -> dict[str, str]:
     return {**versions(), **fingerprint(test), **fingerprint(params, "parameters")}
 
 
-def _place(data: "xarray.Dataset") -> list[tuple]:
+def _place(data: "xarray.Dataset") -> list[list[tuple[int, float, str]]]:
     """By what a member is sorted: its labels in their order, numbers before texts, and then its name."""
     labels = [data[name].values.tolist()[0] for name in json.loads(data.attrs["labels"])]
     parts = [*labels, str(data.member.values[0])]

@@ -74,7 +74,7 @@ def run_case(
     """Run a case into a folder, which is made where there is none.
 
     name: of the run, for titles. overwrite: replace what another run left there. snapshots: how many to write for
-    ParaView, evenly over the shear, one every 1000 steps at most. command: the command line, to be kept.
+    ParaView, evenly over the shear, each at the first record there. command: the command line, to be kept.
     packing: called with what the packing of a random specimen is at, packed: with what it has become. confined: begin
     with the specimen that another case has kept there, which may differ in its stages alone. keep_confined: file for
     the confined specimen.
@@ -206,6 +206,7 @@ def _run(
         if due and done >= due[0]:
             try:
                 write_snapshot(now)
+                written.append(now.strain)
             except OSError:  # the disk, of which the rest of the run would suffer too
                 raise
             except Exception as error:
@@ -234,13 +235,14 @@ def _run(
             (folder / name).unlink(missing_ok=True)
         begun = 0.0 if start is None else start.share(test) if test.stages else start.strain
         due = _snapshot_strains(info["snapshots"], 1.0 if test.stages else test.axial_strain, begun)
+        wanted, written = len(due), list[float]()
         if due:
             from axijax.app.paraview import SnapshotWriter
 
             write_snapshot = SnapshotWriter(folder / "snapshots", test)
         try:
             say(None)
-            run = test.run(start=start, progress=advance, checkpoint=folder / "checkpoint.npz")
+            run = test.run(start=start, progress=advance, checkpoint=folder / "checkpoint.npz", stops=tuple(due))
             save_run(folder, info["name"], case.model_dump_json(), run.curve)
         except KeyboardInterrupt:
             confined = (folder / "checkpoint.npz").exists()
@@ -261,6 +263,9 @@ def _run(
             raise
         note("finished", run.ended)
         warn(run.ended or None)
+        if len(written) < wanted:
+            reason = "a stage ends with a stretch of 1000 steps" if test.stages else "they are made at records"
+            warn(f"{len(written)} of {wanted} snapshots were made, since {reason}, and there were not enough of these")
         from axijax.app.plot import draw_curve  # Matplotlib only where something is drawn
 
         warn(draw_curve(folder))

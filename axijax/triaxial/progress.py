@@ -1,5 +1,6 @@
 """A shear in progress: its beginning, some steps further, and what it leaves."""
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import jax
@@ -142,8 +143,9 @@ def fit_for_stages(test: "TriaxialTest", now: Progress) -> Progress:
     return now._replace(state=state, records=no_records(now.params, bool(test.stages)))
 
 
-def go_on(test: "TriaxialTest", now: Progress) -> Progress:
-    """About 1000 steps further, or until a list is worn; lists that are worn are rebuilt first.
+def go_on(test: "TriaxialTest", now: Progress, until: float | None = None) -> Progress:
+    """About 1000 steps further, or until a list is worn, or to the first record at an axial strain, that where the test
+    ends if none is given; lists that are worn are rebuilt first.
 
     With `rebuild_every` they are rebuilt before the same records as by `simulate`.
     """
@@ -163,10 +165,11 @@ def go_on(test: "TriaxialTest", now: Progress) -> Progress:
     left = places + 1
     if every:  # records before the rebuild that is due; none where only steps to the next record are left before it
         left = 0 if number and number % every == 0 and now.due else every - number % every
+    most = min(places, _records_left(test, now, test.axial_strain if until is None else until))
     reached = march_until(
         test.scene, places, test.record_every, True, widely_graded, path, lists,
         prepared.time_step, now.params, state, now.fixed, now.due, now.steps, now.worn,
-        min(places, left), left <= places,
+        min(most, left), left <= most,
     )  # fmt: skip
     seen = jax.tree.map(lambda values: np.asarray(values)[: int(reached.records)], reached.seen)
     joined = jax.tree.map(np.append, now.records, seen)
@@ -182,6 +185,15 @@ def go_on(test: "TriaxialTest", now: Progress) -> Progress:
     if test.stages and not path.going(reached.watched, after.steps):
         after = after._replace(stage=now.stage + 1, begun=False, over=bool(path.failed(reached.watched)))
     return after
+
+
+def _records_left(test: "TriaxialTest", now: Progress, until: float) -> int:
+    """Records until the strain is reached at full speed, the first one there included; of a test in stages, each of
+    which knows its end, more than there are in a segment."""
+    if test.stages:
+        return SEGMENT + 1
+    each = 2 * float(now.params.platen_speed) * test.prepared.time_step * test.record_every / now.height
+    return max(math.ceil((until - now.strain) / each - now.due / test.record_every + 1 - 1e-6), 1)
 
 
 _start_stage = jax.jit(start_stage, static_argnums=0)

@@ -11,7 +11,7 @@ and adds checks and a sentence for whatever went wrong.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -166,6 +166,7 @@ class TriaxialTest:
         progress: Callable[[Progress], None] | bool | None = None,
         start: Progress | None = None,
         checkpoint: Path | None = None,
+        stops: Sequence[float] = (),
     ) -> Run:
         """Run the test to its end and return curve and final state; lists are rebuilt where needed.
 
@@ -174,6 +175,7 @@ class TriaxialTest:
         start: go on from here, see `axijax.triaxial.checkpoint.load_progress`, instead of confining; its parameters are
             used.
         checkpoint: file to which the progress is written now and then, at the end and at an interruption (Ctrl-C).
+        stops: axial strains at whose first record `progress` is called too, as for snapshots; not of a test in stages.
 
         Raises ValueError for bad parameters, and SimulationError with the remedy for a run that went wrong.
         """
@@ -185,7 +187,7 @@ class TriaxialTest:
                 now = begin(self, self.params if params is None else params)
             else:
                 now = fit_for_stages(self, start)
-            now = self._sheared(now, tell, checkpoint)
+            now = self._sheared(now, tell, checkpoint, stops)
         curve = curve_of(now, self.axial_strain)
         raise_for_status(curve.status, curve)
         if self.stages:
@@ -200,7 +202,9 @@ class TriaxialTest:
         warn_of_chatter(curve)
         return Run(curve, now.network, now.membrane, now.state)
 
-    def _sheared(self, now: Progress, tell: Callable[[Progress], None], checkpoint: Path | None) -> Progress:
+    def _sheared(
+        self, now: Progress, tell: Callable[[Progress], None], checkpoint: Path | None, stops: Sequence[float]
+    ) -> Progress:
         """From here to the end of the test."""
         if checkpoint is not None:
             save_progress(checkpoint, self, now)
@@ -208,7 +212,8 @@ class TriaxialTest:
         try:
             tell(now)
             while not now.ended(self):
-                now = go_on(self, now)
+                ahead = (strain for strain in stops if now.strain < strain < self.axial_strain)
+                now = go_on(self, now, min(ahead, default=None))
                 tell(now)
                 if checkpoint is not None and time.monotonic() - written > CHECKPOINT_SECONDS:
                     save_progress(checkpoint, self, now)

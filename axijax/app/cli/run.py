@@ -56,7 +56,7 @@ def run(
     snapshots: Annotated[
         int,
         typer.Option(
-            min=0, max=100_000, help="Snapshots for ParaView, evenly over the shear (1000 steps apart at least)."
+            min=0, max=100_000, help="Snapshots for ParaView, evenly over the shear, each at the first record there."
         ),
     ] = 0,
     keep_confined: Annotated[
