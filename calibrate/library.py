@@ -107,7 +107,9 @@ class Library:
             "failed": run.failed,
             "seconds": round(float(run.seconds), 3),
         }
-        arrays: dict[str, Any] = {name: np.asarray(run.curve[name], float) for name in FIELDS} if run.curve is not None else {}
+        arrays: dict[str, Any] = {}
+        if run.curve is not None:
+            arrays |= {name: np.asarray(run.curve[name], float) for name in FIELDS}
         arrays["about"] = np.frombuffer(json.dumps(about).encode(), np.uint8)
 
         def write(target: Path) -> None:
