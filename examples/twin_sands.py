@@ -1,6 +1,6 @@
 """Sands hidden behind other packings: how near a fit comes to them, and whether its intervals hold them.
 
-    python examples/twin_sands.py --truths 10 --folder twin_sands     # about an hour of one core; goes on where it was
+    python examples/twin_sands.py --truths 10 --folder twin_sands     # an hour of one core
     python examples/twin_sands.py --truths 10 --folder twin_sands --rolling
 
 Parameters are drawn, a specimen of 500 balls (half a cylinder) is packed and sheared with them to 10 % strain, 1 % noise

@@ -37,7 +37,12 @@ def test_two_maxima_are_both_found():
 
 def test_a_bent_ridge():
     """x normal, y = x^2 to 0.05: the mean of y is that of x^2, one."""
-    found = sample(lambda u: -0.5 * ((6 * u[:, 0] - 3) ** 2 + ((8 * u[:, 1] - 1 - (6 * u[:, 0] - 3) ** 2) / 0.05) ** 2), 2)
+
+    def ridge(u):
+        x, y = 6 * u[:, 0] - 3, 8 * u[:, 1] - 1
+        return -0.5 * (x**2 + ((y - x**2) / 0.05) ** 2)
+
+    found = sample(ridge, 2)
     x, y = 6 * found.points[:, 0] - 3, 8 * found.points[:, 1] - 1
     inside = 0.991  # of the variance that the box leaves of x^2, whose top is 7
     assert found.weights @ x**2 == pytest.approx(0.98 * inside, abs=0.08)
