@@ -107,9 +107,8 @@ class Library:
             "failed": run.failed,
             "seconds": round(float(run.seconds), 3),
         }
-        arrays: dict[str, Any] = {}
-        if run.curve is not None:
-            arrays |= {name: np.asarray(run.curve[name], float) for name in FIELDS}
+        curve = run.curve
+        arrays: dict[str, Any] = {} if curve is None else {name: np.asarray(curve[name], float) for name in FIELDS}
         arrays["about"] = np.frombuffer(json.dumps(about).encode(), np.uint8)
 
         def write(target: Path) -> None:

@@ -44,10 +44,10 @@ def packings(options):
 def sheared(specimen, report, sector, friction, strain) -> dict:
     """Shear one specimen and return what the study keeps of it."""
     import axijax
-    from axijax.app.results import RECORDS
     from axijax.mechanics.rebuild import specimen_now
     from axijax.specimen.fabric import contact_statistics, profiles
     from axijax.triaxial.random_specimen import platen_speed
+    from axijax.triaxial.records import records_of
 
     params = axijax.Params(friction=friction)
     params = replace(params, platen_speed=platen_speed(INERTIAL_NUMBER, specimen, params))
@@ -62,7 +62,7 @@ def sheared(specimen, report, sector, friction, strain) -> dict:
     )
     run = test.run()
     end = specimen_now(test.cut, run.network, run.membrane, run.state)
-    rows = {field: np.asarray(getattr(run.curve, field), float) for field in RECORDS}
+    rows = {field: np.asarray(getattr(run.curve, field), float) for field in records_of(run.curve)}
     shown = {}
     for stage, cut, radius in (
         ("start", test.cut, report.membrane_radius),

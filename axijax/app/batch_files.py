@@ -18,7 +18,8 @@ from axijax.core.files import remove_leftovers, writable_folder, write_whole
 from axijax.core.fingerprint import differences, fingerprint, versions
 from axijax.core.quantity import values_of
 from axijax.mechanics.params import Params
-from axijax.triaxial.records import RECORDS, STAGE_RECORDS, Confinement, Curve, find_peak
+from axijax.triaxial.peak import at_peak, peak_of
+from axijax.triaxial.records import Confinement, Curve, records_of
 from axijax.triaxial.test import TriaxialTest
 
 if TYPE_CHECKING:
@@ -28,7 +29,9 @@ MEMBERS = "members"  # the folder of the members' files
 FAILED = ".failed.json"
 SUMMARY = "summary.csv"
 READ_ERRORS = (OSError, TypeError, ValueError, KeyError, IndexError, AttributeError, EOFError, MemoryError)
-PEAK = ("peak_ratio", "core_ratio_at_peak", "virial_ratio_at_peak", "axial_strain_at_peak", "peak_reached")
+PEAK = (
+    "peak_ratio", "peak_error", "core_ratio_at_peak", "virial_ratio_at_peak", "axial_strain_at_peak", "peak_reached",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -46,15 +49,14 @@ class Stored:
         """Its curve with dimension record, and everything else as scalar coordinates and attributes."""
         assert self.curve is not None
         curve = self.curve
-        peak = find_peak(curve.axial_strain, curve.stress_ratio)
-        at_peak: list[float | bool] = [
-            float(getattr(curve, n)[peak.record])
-            for n in ("stress_ratio", "core_ratio", "virial_ratio", "axial_strain")
-        ]
-        at_peak.append(peak.reached)
+        peak = peak_of(curve)
+        there: list[float | bool] = [
+            peak.stress_ratio, np.nan if peak.error is None else peak.error, at_peak(curve, peak, "core_ratio"),
+            at_peak(curve, peak, "virial_ratio"), peak.axial_strain, peak.reached,
+        ]  # fmt: skip
         scalars = {name: float(value) for name, value in values_of(self.params).items() if np.ndim(value) == 0}
         # A label says what was asked for; a parameter of the same name is the same number.
-        about = scalars | self.labels | dict(zip(PEAK, at_peak, strict=True)) | {"seconds": self.seconds}
+        about = scalars | self.labels | dict(zip(PEAK, there, strict=True)) | {"seconds": self.seconds}
         attributes = {
             "identity": json.dumps(identity(self.test, self.params)),
             "labels": json.dumps(list(self.labels)),
@@ -124,8 +126,7 @@ def read_member(folder: Path, wanted: Stored) -> Stored | None:
             "another folder, or delete it."
         )
     unbalanced, stress_error, steps = json.loads(data.attrs["confinement"])
-    held = (*RECORDS, *(name for name in STAGE_RECORDS if name in data))
-    records: dict[str, Any] = {name: data[name].values[0] for name in held} | {"status": np.int32(0)}
+    records: dict[str, Any] = {name: data[name].values[0] for name in records_of(data)} | {"status": np.int32(0)}
     confinement = Confinement._make(map(np.asarray, (unbalanced, stress_error, int(steps))))
     curve = Curve(**records, confinement=confinement)
     return replace(wanted, curve=curve, seconds=float(data.seconds.values[0]))
@@ -199,7 +200,7 @@ def _load(file: Path) -> "xarray.Dataset":
 
     try:
         data = xarray.load_dataset(file, engine="scipy")
-        sound = all(data[name].dims == ("member", "record") for name in RECORDS) and data.sizes["member"] == 1
+        sound = all(data[name].dims == ("member", "record") for name in records_of(data)) and data.sizes["member"] == 1
         labels, confinement = (json.loads(data.attrs[name]) for name in ("labels", "confinement"))
         sound = sound and all(data[name].dims == ("member",) for name in (*labels, *PEAK, "seconds"))
         sound = sound and len(confinement) == len(Confinement._fields) and np.isfinite(confinement).all()

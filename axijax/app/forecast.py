@@ -20,7 +20,7 @@ from axijax.triaxial.records import Confinement, SimulationError, no_records
 from axijax.triaxial.test import TriaxialTest
 
 if TYPE_CHECKING:
-    from axijax.triaxial.random_specimen import PackingReport
+    from axijax.triaxial.packing_report import PackingReport
 
 # Steps that lattices need to be confined (1450 to 3200 of them, whatever their stiffness and stress).
 CONFINEMENT_STEPS = 3000
@@ -106,7 +106,7 @@ def _timed(test: TriaxialTest) -> tuple[float | None, float | None]:
     state = initial_state(test.scene, test.params, test.network, [test.cut.bottom, test.cut.top])
     loose = Progress(
         test.params, test.network, test.membrane, state, test.lateral_load, Confinement(zero, zero, zero), height,
-        no_records(),
+        no_records(test.params),
     )  # fmt: skip
     seconds = []
     for _ in range(2):

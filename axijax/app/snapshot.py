@@ -14,9 +14,10 @@ import numpy as np
 
 from axijax.core.sector import Sector, plane_normals
 from axijax.core.vector import zeros
-from axijax.mechanics.contacts import geometry, resultants
+from axijax.mechanics.contacts import geometry
 from axijax.mechanics.dynamics import all_forces, positions
 from axijax.mechanics.membrane import lateral_force, membrane_radius
+from axijax.mechanics.membrane_surface import straightened
 from axijax.mechanics.observe import at_coulomb_limit
 from axijax.mechanics.outer_balls import cell_polygons
 from axijax.triaxial.engine import current_load
@@ -83,7 +84,7 @@ class MembraneCells(NamedTuple):
 
     number, image: ball of each cell and how often it is turned, (Z,).
     places: (2, Z) of the balls on it, x' = theta Rm and z [L]. polygons: corners (P, 2) of each cell [L].
-    area: (Z,) of the cells as loaded [L^2]. force: (Z,) inward [F].
+    area: (Z,) of the cells as loaded [L^2]. force, upward: (Z,) towards the axis and along it [F].
     radius: Rm [L].
     stale: share of the strip counted to a wrong cell since the membrane was triangulated [-].
     """
@@ -94,15 +95,20 @@ class MembraneCells(NamedTuple):
     polygons: list[np.ndarray]
     area: np.ndarray
     force: np.ndarray
+    upward: np.ndarray
     radius: float
     stale: float
 
 
 class Platens(NamedTuple):
-    """The bottom and the top platen: heights (2,) [L] and forces of the balls on them (2,), positive [F]."""
+    """The bottom and the top platen: heights (2,) [L] and forces of the balls on them (2,), positive [F].
+
+    restraint: friction of these and of rigid sector planes towards the axis, times distance, summed [F L].
+    """
 
     heights: np.ndarray
     forces: np.ndarray
+    restraint: float
 
 
 class Snapshot(NamedTuple):
@@ -203,18 +209,20 @@ def snapshot(
         normal_force=normal_force, tangential_force=tangential_force, sliding=seen["sliding"][contact],
         share=np.ones(contact.size) if full else np.asarray(network.share, float)[contact],
     )  # fmt: skip
-    forces = seen["platens"] * (n if full else 1)
+    times = n if full else 1
+    forces = seen["platens"] * times
+    inward = np.einsum("wai,ai,i->", seen["held"][:, :2], place[:2], np.asarray(network.weight)) * times
     lateral_stress = float(state.lateral_stress(progress.params))
     return Snapshot(
         axial_strain=progress.strain,
-        stress_ratio=float(seen["platens"].mean() / seen["section"] / lateral_stress),
+        stress_ratio=float(seen["straightened"].mean() / seen["section"] / lateral_stress),
         confining_stress=lateral_stress,
         sector=sector,
         full=full,
         balls=balls if full else part(balls, balls.image == 0),
         contacts=contacts if full else part(contacts, contacts.copy == 0),
         membrane=_cells(test, progress, seen, heights, sector.images if full else 1),
-        platens=Platens(heights, forces),
+        platens=Platens(heights, forces, float(inward)),
     )
 
 
@@ -231,18 +239,18 @@ def _mechanics(scene, params, network, membrane, fixed, dt, state):
     if forces.contacts.spring is not None:
         sliding = at_coulomb_limit(params, network, force, normal)
     lateral = lateral_force(state.lateral_stress(params), load, place)
-    planes = zeros(network.radius.shape, network.dtype)
-    if network.sector.boundary == "rigid":  # what the resultant holds beside contacts, platens and membrane
-        planes = forces.resultant - resultants(forces.contacts, network)[0] - lateral
+    still = zeros(network.radius.shape, network.dtype)
+    held = [jnp.stack([*(still if each is None else each)]) for each in forces.walls.held]
     return {
         "force": jnp.stack([*force]),
         "apart": jnp.stack([*pair.branch]),
         "overlap": pair.overlap,
         "sliding": sliding,
-        "push": jnp.stack(forces.platen_push),
         "platens": forces.platen_forces(network),
+        "straightened": straightened(state.lateral_stress(params), load, forces.platen_forces(network)),
         "lateral": jnp.stack([*lateral]),
-        "planes": jnp.stack([*planes]),
+        "walls": jnp.stack(forces.walls.normal),
+        "held": jnp.stack(held),
         "area": load.lateral if load.lateral.ndim == 1 else jnp.zeros_like(network.radius),
         "section": load.section,
         "stale": load.stale,
@@ -252,8 +260,8 @@ def _mechanics(scene, params, network, membrane, fixed, dt, state):
 
 
 def _boundary_moments(sector: Sector, radius: np.ndarray, place: np.ndarray, heights: np.ndarray, seen) -> np.ndarray:
-    """Arm times force of platens, lateral load and rigid planes on each ball, all straight at its centre; (N, 3, 3)
-    [F L]. Arms reach to the platen or the plane, and to the ball's surface where the membrane presses."""
+    """Arm times force of platens, lateral load and rigid planes on each ball; (N, 3, 3) [F L]. Arms reach to the
+    platen or the plane, and to the ball's surface where the membrane presses."""
 
     def pressed(direction, size, arm):
         return np.einsum("ai,bi,i->iab", direction, direction, size * arm)
@@ -261,13 +269,13 @@ def _boundary_moments(sector: Sector, radius: np.ndarray, place: np.ndarray, hei
     lateral = seen["lateral"]
     size = np.linalg.norm(lateral, axis=0)
     total = pressed(lateral / np.where(size > 0, size, 1.0), size, radius)
-    bottom, top = seen["push"]
-    total[:, 2, 2] += bottom * (place[2] - heights[0]) + top * (heights[1] - place[2])
+    inward, gaps = [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], [place[2] - heights[0], heights[1] - place[2]]
     if sector.boundary == "rigid":
         normals = plane_normals(sector)
-        for inward, push in zip(normals, np.linalg.solve(normals.T, seen["planes"][:2]), strict=True):
-            direction = np.broadcast_to(np.array([*inward, 0.0])[:, None], place.shape)
-            total += pressed(direction, push, inward @ place[:2])
+        inward += [[*normal, 0.0] for normal in normals]
+        gaps += [normal @ place[:2] for normal in normals]
+    for normal, gap, push, held in zip(np.array(inward), gaps, seen["walls"], seen["held"], strict=True):
+        total += np.einsum("a,bi->iab", normal, gap * (normal[:, None] * push - held))
     return total
 
 
@@ -280,10 +288,8 @@ def _turned(sector: Sector, tensors: np.ndarray, image: np.ndarray) -> np.ndarra
 def _cells(test: TriaxialTest, progress: Progress, seen, heights: np.ndarray, images: int) -> MembraneCells:
     membrane, sector = progress.membrane, progress.network.sector
     if progress.fixed is not None and progress.fixed.lateral.ndim == 2:  # loaded without a membrane
-        none = np.zeros(0, int)
-        return MembraneCells(
-            none, none, np.zeros((2, 0)), [], np.zeros(0), np.zeros(0), float(seen["membrane_radius"]), 0.0
-        )
+        none, still = np.zeros(0, int), np.zeros(0)
+        return MembraneCells(none, none, np.zeros((2, 0)), [], still, still, still, float(seen["membrane_radius"]), 0.0)
     zone, radius = np.asarray(membrane.zone), float(seen["membrane_radius"])
     now = replace(
         test.cut, positions=np.asarray(positions(progress.network, progress.state), float), bottom=heights[0],
@@ -298,7 +304,8 @@ def _cells(test: TriaxialTest, progress: Progress, seen, heights: np.ndarray, im
         places=np.concatenate([cells.places + k * shift[:, None] for k in range(images)], axis=1),
         polygons=[polygon + k * shift for k in range(images) for polygon in cells.polygons],
         area=np.tile(seen["area"][cells.balls], images),
-        force=np.tile(np.linalg.norm(seen["lateral"][:, cells.balls], axis=0), images),
+        force=np.tile(np.linalg.norm(seen["lateral"][:2, cells.balls], axis=0), images),
+        upward=np.tile(seen["lateral"][2, cells.balls], images),
         radius=radius,
         stale=float(seen["stale"]),
     )

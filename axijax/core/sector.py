@@ -6,8 +6,8 @@ never a mirror, so that a rigid swirl about z is force-free (Cui & O'Sullivan 20
 there the image of (x, y, z) is (-y, x, z)). A contact is (ball i, ball j, image k), its force acts on ball i
 alone and the same contact seen from j is (j, i, -k). n = 1 is the full cylinder.
 
-For comparison only, the two sector planes may be rigid and frictionless instead (section 4.3 of the paper);
-a ball then has no image but itself.
+For comparison only, the two sector planes may be rigid instead, and frictionless as in section 4.3 of the paper or
+with a friction of their own; a ball then has no image but itself.
 """
 
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class Sector:
     """One sector of a cylinder; static and hashable.
 
     order: number n of sectors in the full cylinder [-]; the sector spans theta in [0, 2*pi/n).
-    boundary: "periodic" (images are rotations) or "rigid" (frictionless planes at theta = 0 and 2*pi/n).
+    boundary: "periodic" (images are rotations) or "rigid" (planes at theta = 0 and 2*pi/n).
 
     Raises ValueError for an order that is not a whole number >= 1, an unknown boundary, or rigid planes with
     order < 3 (their two planes would coincide, or enclose more than the half space of each).
@@ -43,7 +43,7 @@ class Sector:
         4, "number n of sectors in the full cylinder, each of theta in [0, 2*pi/n)", "-", least=1, most=1000, whole=True
     )
     boundary: Boundary = setting(
-        "periodic", '"periodic" (images are rotations) or "rigid" (frictionless planes at theta = 0 and 2*pi/n)'
+        "periodic", '"periodic" (images are rotations) or "rigid" (planes at theta = 0 and 2*pi/n)'
     )
 
     def __post_init__(self) -> None:

@@ -169,6 +169,7 @@ def _triangulated(sector: Sector, dtype, held) -> tuple[Membrane, np.ndarray]:
         made = membrane_arrays(now, sector, old.corner.shape[1], dtype, old.zone.size)
     except (ValueError, QhullError):
         return old, np.asarray(STALE_CELLS, np.int32)
+    made = replace(made, surface=old.surface)
     return jax.tree.map(lambda new, was: np.asarray(new, was.dtype), made, old), np.asarray(0, np.int32)
 
 

@@ -7,7 +7,7 @@ positions at t and the velocities at t - dt/2 give the velocities at t + dt/2, t
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -18,10 +18,13 @@ from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.contacts import ContactForces, ContactTerm
 from axijax.mechanics.lateral import LateralTerm
 from axijax.mechanics.membrane import Load
+from axijax.mechanics.membrane_surface import straightened
 from axijax.mechanics.params import Params
 from axijax.mechanics.state import Loading, State
 from axijax.mechanics.term import Memory, Push, Term, total
-from axijax.mechanics.walls import WallTerm
+from axijax.mechanics.walls import WallForces, WallTerm
+
+MembraneKind = Literal["radial", "normal", "tied"]
 
 
 @dataclass(frozen=True)
@@ -29,14 +32,25 @@ class Scene:
     """What is modelled that is not a number; static and hashable. The parts of `Params` say the rest.
 
     rotation: balls may spin.
+    membrane: what its force is, "radial", towards the axis; "normal" to its surface rho(z), so that it pushes a
+        specimen that barrels along z as well; or "tied", normal and with its ends tied to platens as wide as the
+        specimen as made. See `axijax.mechanics.membrane_surface`.
+
+    Raises ValueError for another membrane.
     """
 
     rotation: bool = True
+    membrane: MembraneKind = "radial"
+
+    def __post_init__(self) -> None:
+        if self.membrane not in get_args(MembraneKind):
+            allowed = ", ".join(f"'{kind}'" for kind in get_args(MembraneKind))
+            raise ValueError(f"scene membrane = {self.membrane!r}: must be one of {allowed}.")
 
 
 def spins(scene: Scene, params: Params) -> bool:
-    """Whether balls spin: nothing turns them where neither contacts nor platens have friction."""
-    return scene.rotation and (params.material.frictional or params.material.platen_friction is not None)
+    """Whether balls spin: nothing turns them where neither contacts nor walls have friction."""
+    return scene.rotation and (params.material.frictional or params.material.rough_walls)
 
 
 def terms_of(params: Params, load: Load | None = None) -> tuple[Term, ...]:
@@ -63,9 +77,14 @@ class Forces(NamedTuple):
         return self.pushes[0].detail
 
     @property
+    def walls(self) -> WallForces:
+        """What each wall does."""
+        return self.pushes[1].detail
+
+    @property
     def platen_push(self) -> tuple[jax.Array, jax.Array]:
         """Push of the bottom and of the top platen on each ball, (N,) each, positive [F]."""
-        bottom, top = self.pushes[1].detail.normal[:2]
+        bottom, top = self.walls.normal[:2]
         return bottom, top
 
     @property
@@ -128,7 +147,7 @@ def make_step(scene: Scene, drive: PlatenDrive, loading: LoadingRule | None = No
 
     def step(params: Params, network: ContactList, load: Load, dt, state: State) -> State:
         forces = all_forces(scene, params, network, load, dt, state)
-        push = forces.platen_forces(network)
+        push = straightened(state.lateral_stress(params), load, forces.platen_forces(network))
         platen_speeds = drive(params, network, dt, state, push, load.section)
         velocity, spin = next_motion(params, network, dt, state, forces)
         return State(

@@ -142,7 +142,7 @@ class Hertz(Material):
     def wall_law(self, network: ContactList) -> HertzWall:
         # A flat plate of the balls' material, so R* is the ball's radius.
         normal, shear = (modulus * jnp.sqrt(network.radius) for modulus in self.moduli)
-        rough = self.platen_friction is not None
+        rough = self.rough_walls
         viscosity = shear_viscosity = None
         beta = self.kind_of_damping.viscosity_ratio
         if beta is not None:

@@ -5,9 +5,10 @@ from axijax.mechanics.term import Push, Spent, Term, share_of_sector
 
 
 class LateralTerm(Term):
-    """Horizontal forces of `axijax.mechanics.membrane.lateral_force`. The load is held between records."""
+    """Forces of `axijax.mechanics.membrane.lateral_force`. The load is held between records."""
 
     stiffens = False
+    acts_apart = False
 
     def __init__(self, load: Load | None):
         self.load = load

@@ -40,7 +40,7 @@ class Linear(Material):
 
     def wall_law(self, network: ContactList) -> Wall:
         stiffness = self.normal_stiffness
-        shear = None if self.platen_friction is None else self.shear_stiffness
+        shear = self.shear_stiffness if self.rough_walls else None
         beta = self.kind_of_damping.viscosity_ratio
         if beta is None:
             return Wall(stiffness, None, shear, None)

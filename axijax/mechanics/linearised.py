@@ -47,14 +47,14 @@ class Plate(NamedTuple):
     """What touches one platen or rigid sector plane.
 
     balls: their numbers. normal: into the specimen, (3,). gap: (N,) of all balls, negative for an overlap [L]. area: of
-    the plate [L^2]. rough: whether platens' friction is its own.
+    the plate [L^2]. friction: the material's number of its friction.
     """
 
     balls: np.ndarray
     normal: np.ndarray
     gap: np.ndarray
     area: float
-    rough: bool
+    friction: str
 
 
 def closed_contacts(network: ContactList, touching_within: float) -> np.ndarray:
@@ -69,16 +69,16 @@ def plates(network: ContactList, touching_within: float) -> list[Plate]:
     outer = (np.hypot(*place[:2]) + radius).max()
     section = np.pi * outer**2 / network.sector.order
     found = [
-        (np.array([0.0, 0.0, 1.0]), place[2] - radius - lowest, section, True),
-        (np.array([0.0, 0.0, -1.0]), highest - place[2] - radius, section, True),
+        (np.array([0.0, 0.0, 1.0]), place[2] - radius - lowest, section, "platen_friction"),
+        (np.array([0.0, 0.0, -1.0]), highest - place[2] - radius, section, "platen_friction"),
     ]
     if network.sector.boundary == "rigid":
         for inward in plane_normals(network.sector):
             normal = np.array([*inward, 0.0])
-            found.append((normal, normal @ place - radius, outer * (highest - lowest), False))
+            found.append((normal, normal @ place - radius, outer * (highest - lowest), "plane_friction"))
     return [
-        Plate(np.flatnonzero(gap < touching_within * radius), normal, gap, float(area), rough)
-        for normal, gap, area, rough in found
+        Plate(np.flatnonzero(gap < touching_within * radius), normal, gap, float(area), friction)
+        for normal, gap, area, friction in found
     ]
 
 
@@ -128,7 +128,7 @@ def linearised(
 
 def _stuck(params: Params) -> dict[str, Any]:
     material = params.material
-    limits = {"friction": STICKING, "platen_friction": np.inf}
+    limits = {"friction": STICKING, "platen_friction": np.inf, "plane_friction": np.inf}
     stuck: dict[str, Any] = {name: limit for name, limit in limits.items() if getattr(material, name) is not None}
     stuck["terms"] = tuple(term.stuck() for term in params.terms)
     for name in optional_parts(material):

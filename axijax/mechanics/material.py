@@ -47,6 +47,13 @@ class Material:
         infinite=True,
         optional=True,
     )
+    plane_friction: jax.Array | float | None = quantity(
+        None,
+        "Coulomb coefficient between balls and rigid sector planes; none: smooth, inf: glued",
+        "-",
+        infinite=True,
+        optional=True,
+    )
     damping: Damping | None = Dashpot()
     rolling: Rolling | None = part(Rolling, "resistance to rolling")
     torsion: Torsion | None = part(Torsion, "resistance to spinning about the contact's normal")
@@ -55,6 +62,11 @@ class Material:
     def frictional(self) -> bool:
         """Whether contacts carry tangential springs."""
         return self.friction is not None
+
+    @property
+    def rough_walls(self) -> bool:
+        """Whether any wall carries tangential springs."""
+        return self.platen_friction is not None or self.plane_friction is not None
 
     @property
     def kind_of_damping(self) -> Damping:

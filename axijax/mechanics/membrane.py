@@ -9,10 +9,11 @@ at rigid sector planes) and cut at the platens by mirror points, so that they ti
 SciPy triangulates the zone on the host (`build_membrane`); from that triangulation `cell_areas` finds the cells'
 areas at later positions inside jit, with exact derivatives, and `membrane_force` consumes the areas. The force
 points from the ball's current position to the axis: with directions frozen at the start, the specimen would
-spin up about its axis. It has no vertical component, so it does not follow a barrelling specimen's slope.
+spin up about its axis. It has no vertical component unless the scene asks for a force normal to the membrane's
+surface, see `axijax.mechanics.membrane_surface`.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -21,7 +22,8 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from axijax.core.sector import Sector, radial_distance
-from axijax.core.vector import Vector
+from axijax.core.vector import Vector, from_rows
+from axijax.mechanics.membrane_surface import Surface, axial_areas, fitted_profile
 from axijax.specimen.specimen import Specimen, ZoneRule
 
 
@@ -42,6 +44,7 @@ class Membrane:
     edge_inside: (3 T,) bool, edges with a triangle to either side.
     counted: (Z,) bool, balls that Rm is taken over; one squeezed far out of the surface is loaded but not counted.
     sector_angle: () angle of the sector [rad].
+    surface: of a membrane that also pushes along z where it slopes; None where it only presses towards the axis.
     zone_rule: the specimen's, see `Specimen`; it decides what Rm is.
     """
 
@@ -60,6 +63,7 @@ class Membrane:
     edge_inside: jax.Array
     counted: jax.Array
     sector_angle: jax.Array
+    surface: Surface | None = None
     zone_rule: ZoneRule = field(default="given", metadata={"static": True})
 
 
@@ -129,6 +133,16 @@ def membrane_arrays(specimen: Specimen, sector: Sector, triangles: int | None, d
         sector_angle=angle,
         zone_rule=specimen.zone_rule,
     )
+
+
+def sloping(membrane: Membrane, made: Specimen, tied: bool) -> Membrane:
+    """The membrane of a specimen as made, from now on normal to its own surface; tied: its ends to the platens."""
+    places = jnp.asarray(made.positions, membrane.angle.dtype)
+    surface = Surface(jnp.hypot(places[0], places[1]))
+    if tied:
+        ring = jnp.asarray(made.radius[made.membrane_zone].mean(), places.dtype)
+        surface = surface._replace(rim=membrane_radius(membrane, from_rows(places)), ring=ring)
+    return replace(membrane, surface=surface)
 
 
 class Unfolded(NamedTuple):
@@ -286,17 +300,23 @@ def _cells(membrane: Membrane, positions: Vector, bottom, top) -> tuple[jax.Arra
     """
     radius = membrane_radius(membrane, positions)
     place = _corner_places(membrane, positions, bottom, top, radius)
-    edge = place[:, (2, 0, 1)] - place[:, (1, 2, 0)]  # opposite to each corner, counter-clockwise
-    twice_area = edge[0, 0] * edge[1, 1] - edge[1, 0] * edge[0, 1]
-    cotangent = -(edge[:, (1, 2, 0)] * edge[:, (2, 0, 1)]).sum(0) / twice_area
-    kite = cotangent * (edge * edge).sum(0) / 8  # from either end of the edge to the cell's side across it
-    corner_area = membrane.owned * (kite[(1, 2, 0), :] + kite[(2, 0, 1), :])
+    kite, corner_area = _kites(membrane, place)
     area = jnp.zeros(membrane.zone.size, place.dtype).at[membrane.corner].add(corner_area)
     area = jnp.zeros(positions.x.size, place.dtype).at[membrane.zone].add(area * membrane.share)
 
     across = jnp.zeros(membrane.edge.size, place.dtype).at[membrane.edge].add(kite)
     wrong = jnp.where(membrane.edge_inside, jnp.maximum(-across, 0.0), 0.0).sum()
     return area, wrong / (membrane.sector_angle * radius * (top - bottom))
+
+
+def _kites(membrane: Membrane, place: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Area from either end of the edge opposite to each corner to the cell's side across it, and each corner's part of
+    its ball's cell; (3, T) each [L^2]."""
+    edge = place[:, (2, 0, 1)] - place[:, (1, 2, 0)]  # opposite to each corner, counter-clockwise
+    twice_area = edge[0, 0] * edge[1, 1] - edge[1, 0] * edge[0, 1]
+    cotangent = -(edge[:, (1, 2, 0)] * edge[:, (2, 0, 1)]).sum(0) / twice_area
+    kite = cotangent * (edge * edge).sum(0) / 8
+    return kite, membrane.owned * (kite[(1, 2, 0), :] + kite[(2, 0, 1), :])
 
 
 @jax.tree_util.register_dataclass
@@ -308,11 +328,15 @@ class Load:
         loaded without a membrane [L^2].
     section: () area of the sector's section that the platens carry [L^2].
     stale: () how far the membrane's triangulation has aged, see `stale_cells`; zero without a membrane [-].
+    axial: (N,) upward forces of a membrane that slopes [L^2]; None where it has none, as is the next.
+    ends: (2,) sections of the membrane at the bottom and the top platen [L^2].
     """
 
     lateral: jax.Array
     section: jax.Array
     stale: jax.Array | float = 0.0
+    axial: jax.Array | None = None
+    ends: jax.Array | None = None
 
 
 def check_load(load: Load, cut: Specimen) -> None:
@@ -331,6 +355,8 @@ def check_load(load: Load, cut: Specimen) -> None:
         raise ValueError("lateral_load.lateral holds values that are not finite numbers: every ball needs one [L^2].")
     if lateral.ndim == 1 and lateral.min() < 0:
         raise ValueError(f"lateral_load.lateral holds an area of {lateral.min():g}: must be zero or positive [L^2].")
+    if load.axial is not None or load.ends is not None:
+        raise ValueError("lateral_load.axial, lateral_load.ends: must be None, they are a membrane's.")
     outward = lateral * cut.positions[:2] if lateral.ndim == 2 else lateral * np.hypot(*cut.positions[:2])
     if not outward.sum() > 0:
         raise ValueError(
@@ -341,17 +367,24 @@ def check_load(load: Load, cut: Specimen) -> None:
 
 def membrane_load(membrane: Membrane, positions: Vector, bottom, top) -> Load:
     """Cells and section at the current positions."""
-    section = 0.5 * membrane.sector_angle * membrane_radius(membrane, positions) ** 2
+    radius = membrane_radius(membrane, positions)
+    section = 0.5 * membrane.sector_angle * radius**2
     areas, stale = _cells(membrane, positions, bottom, top)
-    return Load(areas, section, stale)
+    if membrane.surface is None:
+        return Load(areas, section, stale)
+    place = _corner_places(membrane, positions, bottom, top, radius)
+    profile = fitted_profile(membrane, positions, _kites(membrane, place)[1], radius, bottom, top)
+    return Load(areas, section, stale, axial_areas(membrane, place, profile, radius, areas.size), profile.ends())
 
 
 def lateral_force(stress, load: Load, positions: Vector) -> Vector:
-    """Horizontal force on each ball, (N,) vectors [F]. stress: confining stress, compression positive."""
+    """Force on each ball, horizontal but for a membrane that slopes, (N,) vectors [F]. stress: confining stress,
+    compression positive."""
     if load.lateral.ndim == 2:
         x, y = -stress * load.lateral
         return Vector(x, y, jnp.zeros_like(x))
-    return membrane_force(stress, load.lateral, positions)
+    force = membrane_force(stress, load.lateral, positions)
+    return force if load.axial is None else Vector(force.x, force.y, stress * load.axial)
 
 
 def membrane_force(stress, areas: jax.Array, positions: Vector) -> Vector:

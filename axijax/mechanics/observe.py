@@ -11,18 +11,24 @@ from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.contacts import Geometry, geometry
 from axijax.mechanics.dynamics import Forces, Scene, all_forces, next_motion, positions
 from axijax.mechanics.membrane import Load, Membrane, lateral_force, membrane_radius
+from axijax.mechanics.membrane_surface import straightened
 from axijax.mechanics.params import Params
 from axijax.mechanics.state import Loading, State
 from axijax.mechanics.volume import solid_volume, void_ratio
+from axijax.mechanics.walls import WallForces, platen_loads
 
 
 class Observation(NamedTuple):
     """Measured at one moment; every field a scalar.
 
-    stress_ratio: R = s1/s3 with s1 = platen force / area of the sector of radius Rm (Cui & O'Sullivan 2005) [-].
-    virial_ratio: F H / (1/2 sum F_i rho_i), platen force F against the lateral load F_i at rho_i; no area in it [-].
+    stress_ratio: R = s1/s3 with s1 = platen force / area of the sector of radius Rm (Cui & O'Sullivan 2005) [-]. Under
+        a membrane that slopes: of the force as `membrane_surface.straightened`.
+    virial_ratio: F H / (1/2 sum F_i rho_i), platen force F against the lateral load F_i at rho_i; no area in it [-]. A
+        membrane's axial forces times their heights are taken off F H.
     core_ratio: vertical over mean horizontal Love-Weber stress of the balls within rho < Rm/2 and the middle 60 %
         of the height [-].
+    lateral_stress: s3 at this moment, which is also that of the stress ratios [F/L^2].
+    bottom_force, top_force: axial forces that the whole cylinder puts on the platens, compression positive [F].
     height, membrane_radius: distance of the platens and radius Rm [L].
     volume: of the full cylinder, see `axijax.mechanics.volume` [L^3].
     void_ratio: voids over solids of a random specimen, counted below the skin [-]; NaN for a lattice, where nothing is
@@ -33,13 +39,20 @@ class Observation(NamedTuple):
     chatter: how far contacts move to and fro from one step to the next, see `chatter` [-].
 
     Of a test in stages only, see `axijax.mechanics.state.Loading`:
-    lateral_stress: s3 at this moment, which is also that of the stress ratios [F/L^2].
     pore_pressure [F/L^2], path_length, servo_error [-]; stage: its number, from 1.
+    Only where platens have friction, of the whole cylinder, whose horizontal forces cancel between periodic planes:
+    end_restraint: what they hold the specimen's ends together with, the friction towards the axis summed over the balls
+        on both, over their normal forces [-].
+    bottom_shear_x, bottom_shear_y, top_shear_x, top_shear_y: force of the balls on the platen [F].
+    bottom_torque, top_torque: moment of the balls on the platen about the axis [F L].
     """
 
     stress_ratio: jax.Array
     virial_ratio: jax.Array
     core_ratio: jax.Array
+    lateral_stress: jax.Array
+    bottom_force: jax.Array
+    top_force: jax.Array
     height: jax.Array
     membrane_radius: jax.Array
     volume: jax.Array
@@ -48,11 +61,17 @@ class Observation(NamedTuple):
     unbalanced_force: jax.Array
     sliding_fraction: jax.Array
     chatter: jax.Array
-    lateral_stress: jax.Array | None = None
     pore_pressure: jax.Array | None = None
     path_length: jax.Array | None = None
     servo_error: jax.Array | None = None
     stage: jax.Array | None = None
+    end_restraint: jax.Array | None = None
+    bottom_shear_x: jax.Array | None = None
+    bottom_shear_y: jax.Array | None = None
+    bottom_torque: jax.Array | None = None
+    top_shear_x: jax.Array | None = None
+    top_shear_y: jax.Array | None = None
+    top_torque: jax.Array | None = None
 
 
 def observe(
@@ -62,8 +81,9 @@ def observe(
     forces = all_forces(scene, params, network, load, dt, state)
     place = positions(network, state)
     height = state.platens[1] - state.platens[0]
-    platen_force = forces.platen_forces(network).mean()
     stress, loading = state.lateral_stress(params), state.loading
+    platen_forces = forces.platen_forces(network)
+    platen_force = straightened(stress, load, platen_forces).mean()
     lateral = lateral_force(stress, load, place)
     radius = membrane_radius(membrane, place)
     solids = solid_volume(network.radius, network.weight, network.sector)
@@ -88,8 +108,11 @@ def observe(
         sliding = (at_coulomb_limit(params, network, force, normal) * touching).sum() / some
     return Observation(
         stress_ratio=platen_force / load.section / stress,
-        virial_ratio=platen_force * height / jnp.maximum(-0.5 * lateral.dot(place).sum(), 1e-300),
+        virial_ratio=virial_ratio(platen_forces.mean(), lateral, load, place, state.platens),
         core_ratio=core_stress_ratio(network, forces, normal, place, radius, state.platens),
+        lateral_stress=jnp.asarray(stress, platen_force.dtype),
+        bottom_force=platen_forces[0] * network.sector.order,
+        top_force=platen_forces[1] * network.sector.order,
         height=height,
         membrane_radius=radius,
         volume=volume,
@@ -98,19 +121,46 @@ def observe(
         unbalanced_force=(resultant * network.weight).sum() / network.weight.sum() / jnp.maximum(mean_force, 1e-300),
         sliding_fraction=sliding,
         chatter=chatter(params, network, dt, state, forces, pair, normal),
-        **{} if loading is None else of_loading(loading, network.dtype),
+        **({} if params.material.platen_friction is None else platen_records(network, place, forces.walls)),
+        **({} if loading is None else of_loading(loading, network.dtype)),
     )
 
 
 def of_loading(loading: Loading, dtype) -> dict[str, jax.Array]:
-    """What of a path's memory is recorded."""
+    """What of a path's memory is recorded, by the fields of `Observation`."""
     return {
-        "lateral_stress": loading.lateral_stress,
         "pore_pressure": loading.pore_pressure,
         "path_length": loading.path_length,
         "servo_error": loading.error,
         "stage": loading.stage.astype(dtype),
     }
+
+
+def platen_records(network: ContactList, place: Vector, walls: WallForces) -> dict[str, jax.Array]:
+    """What rough platens feel, by the fields of `Observation`."""
+    force, moment = platen_loads(network, place, walls)
+    rho = radial_distance(place)
+    found: dict[str, jax.Array] = {}
+    inward = pressed = jnp.zeros_like(force.z[0])
+    for end, (name, push, held) in enumerate(zip(("bottom", "top"), walls.normal, walls.held, strict=False)):
+        found |= {f"{name}_shear_x": force.x[end], f"{name}_shear_y": force.y[end], f"{name}_torque": moment.z[end]}
+        if held is not None:
+            along = (held.x * place.x + held.y * place.y) / jnp.where(rho > 0, rho, 1.0)
+            inward += (along * network.weight).sum()
+        pressed += (push * network.weight).sum()
+    if network.sector.images > 1:
+        whole = {"shear_x": 0.0, "shear_y": 0.0, "torque": network.sector.order}
+        found = {name: value * whole[name.partition("_")[2]] for name, value in found.items()}
+    return found | {"end_restraint": inward / jnp.maximum(pressed, 1e-300)}
+
+
+def virial_ratio(platen_force, lateral: Vector, load: Load, place: Vector, platens) -> jax.Array:
+    """Mean axial over mean lateral stress from boundary forces and their places alone [-]."""
+    height = platens[1] - platens[0]
+    if load.axial is None:
+        return platen_force * height / jnp.maximum(-0.5 * lateral.dot(place).sum(), 1e-300)
+    upright = platen_force * height - (lateral.z * (place.z - platens.mean())).sum()
+    return upright / jnp.maximum(-0.5 * (lateral.x * place.x + lateral.y * place.y).sum(), 1e-300)
 
 
 def at_coulomb_limit(params: Params, network: ContactList, force: Vector, normal: Vector) -> jax.Array:

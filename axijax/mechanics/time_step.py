@@ -73,7 +73,7 @@ def springs_and_dashpots(
     for plate in plates(network, touching_within):
         balls = plate.balls
         pressed, held = wall_constants(balls, plate.area, -plate.gap[balls])
-        both = pressed, held * (plate.rough and material.platen_friction is not None)
+        both = pressed, held * (getattr(material, plate.friction) is not None)
         ground.append((balls, plate.normal, both, [2 * beta * np.sqrt(k * mass[balls]) for k in both]))
 
     def turned(vectors, sine):

@@ -1,7 +1,8 @@
 """Walls: an array of planes. Two platens that move along z, and for comparison two rigid sector planes that stand.
 
 A wall pushes a ball like another ball of its material would, along its normal; where it has a friction coefficient it
-also holds the ball's surface back by a capped spring, of which inf is glued.
+also holds the ball's surface back by a capped spring, of which inf is glued. Platens and sector planes have a
+coefficient each.
 """
 
 from typing import Any, NamedTuple, Protocol
@@ -93,9 +94,9 @@ class WallForces(NamedTuple):
 
 
 def planes(
-    network: ContactList, displacement: Vector, platens, platen_speeds, platen_friction=None
+    network: ContactList, displacement: Vector, platens, platen_speeds, platen_friction=None, plane_friction=None
 ) -> tuple[Plane, ...]:
-    """Bottom platen, top platen and, between rigid planes, the two sector planes.
+    """Bottom platen, top platen and, between rigid planes, the two sector planes, with the friction of either pair.
 
     displacement: (N,) of the balls [L]; platens, platen_speeds: (2,) heights [L] and velocities, upward positive.
     """
@@ -109,7 +110,7 @@ def planes(
     if network.sector.boundary == "rigid":
         place = network.positions + displacement
         for x, y in plane_normals(network.sector).tolist():
-            found.append(Plane((x, y, 0.0), x * place.x + y * place.y - network.radius, 0.0, None))
+            found.append(Plane((x, y, 0.0), x * place.x + y * place.y - network.radius, 0.0, plane_friction))
     return tuple(found)
 
 
@@ -129,24 +130,27 @@ class WallTerm(Term):
     of its push is `WallForces`."""
 
     stiffens = False
+    acts_apart = False
 
     def planes(self, params, network: ContactList, state, displacement=None, platens=None) -> tuple[Plane, ...]:
         """The planes at a state, or with balls and platens somewhere else."""
         displacement = state.displacement if displacement is None else displacement
         platens = state.platens if platens is None else platens
-        return planes(network, displacement, platens, state.platen_speeds, params.material.platen_friction)
+        material = params.material
+        frictions = material.platen_friction, material.plane_friction
+        return planes(network, displacement, platens, state.platen_speeds, *frictions)
 
     def init(self, params, network) -> Memory:
-        if params.material.platen_friction is None:
-            return Memory()
         still = zeros(network.radius.shape, network.dtype)
-        return Memory(ball=(still, still, *_smooth_planes(network)))
+        springs = tuple(None if friction is None else still for friction in _frictions(params, network))
+        return _memory(springs)
 
     def forces(self, params, network, dt, state, memory) -> Push:
         law = params.material.wall_law(network)
         found: list[tuple[Any, Any, Any]] = []
         force = moment = None
-        for plane, spring in zip(self.planes(params, network, state), self._springs(network, memory), strict=True):
+        springs = self._springs(params, network, memory)
+        for plane, spring in zip(self.planes(params, network, state), springs, strict=True):
             closing = plane.closing_speed(state.velocity)
             wall = law.at(plane.gap, closing, dt)
             pressed = wall_force(plane.gap, closing, wall.stiffness, wall.viscosity)
@@ -164,8 +168,7 @@ class WallTerm(Term):
             force = push if force is None else force + push
             found.append((pressed, held, after))
         detail = WallForces(*zip(*found, strict=True))
-        smooth = params.material.platen_friction is None
-        return Push(force, moment, Memory(ball=None if smooth else detail.springs), detail)
+        return Push(force, moment, _memory(detail.springs), detail)
 
     def spent(self, params, network, dt, state, memory, push, mean) -> Spent:
         law, lost = params.material.wall_law(network), jnp.zeros_like(network.radius)
@@ -189,7 +192,8 @@ class WallTerm(Term):
         before = self._before(params, network, dt, state)
         for plane, earlier in zip(self.planes(params, network, state), before, strict=True):
             normal += law.energy(jnp.maximum(-plane.gap, 0.0) * jnp.maximum(-earlier.gap, 0.0))
-        for earlier, spring, after in zip(before, self._springs(network, memory), push.detail.springs, strict=True):
+        springs = self._springs(params, network, memory)
+        for earlier, spring, after in zip(before, springs, push.detail.springs, strict=True):
             if spring is not None:
                 shear += 0.5 * law.at(earlier.gap).shear_stiffness * spring.dot(after)
         return Stored(share_of_sector(network, normal), share_of_sector(network, shear))
@@ -204,7 +208,7 @@ class WallTerm(Term):
         lost = viscous = jnp.zeros_like(network.radius)
         places = zip(
             self.planes(params, network, state), self._before(params, network, dt, state),
-            self._springs(network, memory), push.detail.held, push.detail.springs, strict=True,
+            self._springs(params, network, memory), push.detail.held, push.detail.springs, strict=True,
         )  # fmt: skip
         for plane, earlier, spring, held, after in places:
             if spring is None:
@@ -227,10 +231,38 @@ class WallTerm(Term):
             params, network, state, state.displacement - state.velocity * dt, state.platens - state.platen_speeds * dt
         )
 
-    def _springs(self, network: ContactList, memory: Memory):
-        return memory.ball or (None, None, *_smooth_planes(network))
+    def _springs(self, params, network: ContactList, memory: Memory):
+        return memory.ball or (None,) * len(_frictions(params, network))
 
 
-def _smooth_planes(network: ContactList) -> tuple[None, ...]:
-    """A place for each sector plane, which has no springs."""
-    return (None, None) if network.sector.boundary == "rigid" else ()
+def _memory(springs: tuple[Vector | None, ...]) -> Memory:
+    return Memory(ball=None if all(spring is None for spring in springs) else springs)
+
+
+def _frictions(params, network: ContactList) -> tuple[Any, ...]:
+    """Friction of each plane; None where it is smooth."""
+    platens, sectors = (params.material.platen_friction,) * 2, (params.material.plane_friction,) * 2
+    return platens + sectors if network.sector.boundary == "rigid" else platens
+
+
+class PlatenLoads(NamedTuple):
+    """What the balls of a sector put on the bottom and the top platen; (2,) vectors.
+
+    force [F]. moment: about the origin, of forces that act where the balls' surfaces are [F L].
+    """
+
+    force: Vector
+    moment: Vector
+
+
+def platen_loads(network: ContactList, place: Vector, walls: WallForces) -> PlatenLoads:
+    """Normal and friction forces together. place: (N,) ball centres; walls: the detail of `WallTerm`'s push."""
+    found = []
+    for up, pressed, held in zip((1.0, -1.0), walls.normal, walls.held, strict=False):
+        still = jnp.zeros_like(pressed)
+        force = Vector(still, still, -up * pressed)
+        force = force if held is None else force + held
+        moment = (place - Vector(still, still, up * network.radius)).cross(force)
+        found.append([vectors.map(lambda part: (part * network.weight).sum()) for vectors in (force, moment)])
+    forces, moments = zip(*found, strict=True)
+    return PlatenLoads(*(Vector(*map(jnp.stack, zip(*each, strict=True))) for each in (forces, moments)))

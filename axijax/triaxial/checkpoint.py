@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from axijax.triaxial.test import TriaxialTest
 
 FORMAT = "axijax shear in progress"
-VERSION = 4
+VERSION = 5
 
 
 def save_progress(path: Path, test: "TriaxialTest", progress: Progress) -> None:
@@ -154,15 +154,16 @@ def _template(test: "TriaxialTest", fixed: bool, staged: bool, reached: int) -> 
 
         shapes = jax.eval_shape(begun, state, test.params)
         state = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+    slope = None if test.membrane.surface is None else zero
     return Progress(
         params=test.params,
         network=test.network,
         membrane=test.membrane,
         state=state,
-        fixed=Load(zero, zero) if fixed else None,
+        fixed=Load(zero, zero, axial=slope, ends=slope) if fixed else None,
         confinement=Confinement(zero, zero, zero),
         height=0.0,
-        records=no_records(staged),
+        records=no_records(test.params, staged),
     )
 
 

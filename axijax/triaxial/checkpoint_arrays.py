@@ -19,12 +19,15 @@ LENGTHS: dict[str, tuple[tuple[str | int, ...], ...]] = {
     r"membrane\.direction": ((2, "Z"),),
     r"membrane\.(corner|turn_sign|turn_shift|flip_sign|flip_bottom|flip_top|owned|edge)": ((3, "T"),),
     r"membrane\.edge_inside": (("3T",),),
+    r"membrane\.surface\.made": (("N",),),
     r"state\.(displacement|velocity|spin)\..": (("N",),),
     r"state\.memory\[\d+\]\.contact\..*": (("C",),),
     r"state\.memory\[\d+\]\.ball.*": (("N",),),
     r"state\.platen(s|_speeds)": ((2,),),
     r"records\..*": (("R",),),
     r"fixed\.lateral": (("N",), (2, "N")),
+    r"fixed\.axial": (("N",),),
+    r"fixed\.ends": ((2,),),
     r"params\.material\.friction": ((), ("N",)),
 }
 

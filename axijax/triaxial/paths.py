@@ -136,7 +136,7 @@ class Isotropic(Path):
 
     def scene(self, scene):
         """Spins only where there is friction."""
-        return Scene(rotation=self.friction is not None)
+        return replace(scene, rotation=self.friction is not None)
 
     def params(self, params, network, membrane, platens):
         """Background damping; tangential springs only where there is friction."""

@@ -12,7 +12,7 @@ from axijax.core.quantity import parts_of
 from axijax.mechanics.contact_list import ContactList, build_contact_list
 from axijax.mechanics.contact_search import grid_for
 from axijax.mechanics.dynamics import Scene
-from axijax.mechanics.membrane import Load, Membrane, build_membrane, check_load
+from axijax.mechanics.membrane import Load, Membrane, build_membrane, check_load, sloping
 from axijax.mechanics.params import Params, check_params
 from axijax.mechanics.rebuild import roomy_lists
 from axijax.mechanics.rolling import RotationResistance
@@ -101,6 +101,11 @@ def prepare(test: "TriaxialTest") -> Prepared:
     warn_of_slipping(params, test.confining_friction)
     for term in params.terms:
         term.check(sector)
+    if params.material.plane_friction is not None and sector.boundary != "rigid":
+        raise ValueError(
+            f"plane_friction = {params.material.plane_friction}: would do nothing between periodic sector planes; "
+            "leave it out, or take boundary = 'rigid'."
+        )
     for part in parts_of(params.material):
         if isinstance(part, RotationResistance) and not (test.scene.rotation and params.material.frictional):
             raise ValueError(
@@ -117,6 +122,13 @@ def prepare(test: "TriaxialTest") -> Prepared:
     else:
         network = build_contact_list(cut, sector, dtype=test.dtype)
         membrane = build_membrane(cut, sector, dtype=test.dtype)
+    if test.scene.membrane != "radial":
+        if test.lateral_load is not None:
+            raise ValueError(
+                f"scene membrane = '{test.scene.membrane}': would do nothing beside a lateral_load, which takes the "
+                "membrane's place; leave out one of them."
+            )
+        membrane = sloping(membrane, cut, tied=test.scene.membrane == "tied")
     step = test.time_step
     if step is None or not test.allow_unsafe_step:
         limit = critical_time_step(test.scene, params, network)

@@ -115,7 +115,7 @@ def begin(test: "TriaxialTest", params: Params) -> Progress:
         state = start_loading(params, state)
     fixed = fixed_load(test.refresh, prepared.lateral_load, lists, state)
     height = float(state.platens[1] - state.platens[0])
-    return Progress(params, *lists, state, fixed, balance, height, no_records(bool(test.stages)))
+    return Progress(params, *lists, state, fixed, balance, height, no_records(params, bool(test.stages)))
 
 
 def fit_for_stages(test: "TriaxialTest", now: Progress) -> Progress:
@@ -127,7 +127,7 @@ def fit_for_stages(test: "TriaxialTest", now: Progress) -> Progress:
     state = now.state._replace(loading=None)
     if test.stages:
         state = start_loading(now.params, state)
-    return now._replace(state=state, records=no_records(bool(test.stages)))
+    return now._replace(state=state, records=no_records(now.params, bool(test.stages)))
 
 
 def go_on(test: "TriaxialTest", now: Progress) -> Progress:

@@ -240,16 +240,17 @@ class Stage(Path):
         default = QUIET * start.stiffness * 2 * start.speed / start.height
         settling = 6 * start.ramp
 
-        def leads(to, origin, given):
+        def leads(to, origin, given, *other):
             """A stress is led to a value: in which time, and how far the specimen may be strained by it."""
             nonlocal low, high
-            way = abs(to - origin) if np.isfinite(origin) else 2 * to
+            way = max(abs(to - origin) if np.isfinite(origin) else 2 * to for to, origin in ((to, origin), *other))
             bounds.append(way / (default if given is None else float(given)) + settling)
             low, high = low - 10 * way / start.stiffness, high + 10 * way / start.stiffness
 
         if isinstance(self.membrane, Moved):
             to = float(self.membrane.lateral_stress)
-            leads(to, lateral, self.membrane.stress_rate)
+            along = self.membrane.along
+            leads(to, lateral, self.membrane.stress_rate, *([] if along is None else [(float(along), axial)]))
             lateral = to
         elif not isinstance(self.membrane, Held):
             lateral = np.nan

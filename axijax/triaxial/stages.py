@@ -69,13 +69,16 @@ def settle(
     dt,
     params: Params,
     fixed: Load | None = None,
+    start: State | None = None,
 ) -> tuple[Lists, State, Confinement]:
-    """Confinement, from rest, with contact list and membrane rebuilt where they are worn (host loop).
+    """Confinement, from rest or a state of these lists, with the lists rebuilt where they are worn (host loop).
 
     Returns the last lists, the state and its balance, which may be outside the tolerance after path.most_steps. Raises
     RuntimeError where a ball moves too fast for the lists.
     """
-    state, steps = _at_rest(scene, path, lists, params, jnp.asarray([cut.bottom, cut.top])), 0
+    state, steps = start, 0
+    if state is None:
+        state = _at_rest(scene, path, lists, params, jnp.asarray([cut.bottom, cut.top]))
     while True:
         reached = march_until(
             scene, None, CONFINE_EVERY, True, True, path, lists, dt, params, state, fixed, CONFINE_EVERY, steps, True

@@ -24,7 +24,9 @@ def calibrate(
     column: Annotated[
         Many,
         typer.Option(
-            metavar="QUANTITY=NAME [UNIT]", rich_help_panel=READING, show_default=False,
+            metavar="QUANTITY=NAME [UNIT]",
+            rich_help_panel=READING,
+            show_default=False,
             help="A column's name, unit, sign, or part of it, where the header does not say: 'axial_displacement=Weg "
             "\\[mm]', 'q=\\[kPa]', 'eps_v=dV/V (dilation positive)'. Several times.",
         ),
@@ -48,7 +50,9 @@ def calibrate(
     uncertainty: Annotated[
         Many,
         typer.Option(
-            metavar="QUANTITY=NUMBER", rich_help_panel=READING, show_default=False,
+            metavar="QUANTITY=NUMBER",
+            rich_help_panel=READING,
+            show_default=False,
             help="Standard uncertainty of stress_ratio or volumetric_strain (a fraction), such as "
             "stress_ratio=0.05; left out, only the proportion 0.02 to 1e-4 counts.",
         ),
@@ -56,21 +60,27 @@ def calibrate(
     bounds: Annotated[
         Many,
         typer.Option(
-            metavar="NAME=LOW,HIGH", rich_help_panel=SEARCH, show_default=False,
+            metavar="NAME=LOW,HIGH",
+            rich_help_panel=SEARCH,
+            show_default=False,
             help="Limits of a parameter: friction=0.1,1.2 (above 1 for random specimens only). Several times.",
         ),
     ] = None,
     start: Annotated[
         Many,
         typer.Option(
-            metavar="NAME=VALUE", rich_help_panel=SEARCH, show_default="by rule from the data",
+            metavar="NAME=VALUE",
+            rich_help_panel=SEARCH,
+            show_default="by rule from the data",
             help="Where the search begins; 'test' for the case's own values. Several times.",
         ),
     ] = None,
     prior: Annotated[
         Many,
         typer.Option(
-            metavar="NAME=VALUE,SPREAD", rich_help_panel=SEARCH, show_default=False,
+            metavar="NAME=VALUE,SPREAD",
+            rich_help_panel=SEARCH,
+            show_default=False,
             help="What is known before: most likely value and standard deviation of its log (of its logit, for "
             "friction below 1): kn=1e9,0.3. Several times.",
         ),
@@ -121,9 +131,7 @@ def calibrate(
 
     given = {
         "bounds": {name: numbers(f"--bounds {name}", text, 2) for name, text in pairs("--bounds", bounds).items()},
-        "priors": {
-            name: Prior(*numbers(f"--prior {name}", text, 2)) for name, text in pairs("--prior", prior).items()
-        },
+        "priors": {name: Prior(*numbers(f"--prior {name}", text, 2)) for name, text in pairs("--prior", prior).items()},
         "start": _start(start),
     }
     on_packings = {"library": library, "workers": workers, "executor": executor, "runs": runs}
