@@ -3,8 +3,8 @@
     python examples/twin_sands.py --truths 10 --folder twin_sands     # an hour of one core
     python examples/twin_sands.py --truths 10 --folder twin_sands --rolling
 
-Parameters are drawn, a specimen of 500 balls (half a cylinder) is packed and sheared with them to 10 % strain, 1 % noise
-is put on R and volumetric strain, and the fit knows nothing but that curve. Half the truths are the curve of one
+Parameters are drawn, a specimen of 500 balls (half a cylinder) is packed and sheared with them to 10 % strain, 1 %
+noise is put on R and volumetric strain, and the fit knows nothing but that curve. Half the truths are the curve of one
 packing, half the mean of eight. One library of 40 runs, on packings of its own, serves all of them.
 Writes twins.csv: for each truth and parameter the true value, the interval, and the verdict.
 """

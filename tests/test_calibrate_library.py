@@ -44,7 +44,7 @@ def test_a_failed_run_is_kept_with_its_sentence_and_not_tried_again(tmp_path):
 
 
 def test_similarity_one_point_for_all_stresses():
-    """The same balls at twice the stress, twice as stiff: one point, and the run of it has the stiffness in proportion."""
+    """The same balls at twice the stress, twice as stiff: one point, and its run has the stiffness in proportion."""
     world = scene()
     low = world.point({"normal_stiffness": 1e9, "shear_stiffness": 3e8}, 1e5)
     high = world.point({"normal_stiffness": 2e9, "shear_stiffness": 6e8}, 2e5)
