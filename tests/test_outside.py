@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from axijax import Params, Scene, Sector, Specimen, TriaxialTest, fcc_octagon
+from axijax import Params, Scene, Sector, Specimen, TriaxialTest, fcc_octagon, stage
 from axijax.core.vector import from_rows
 from axijax.mechanics.contact_list import build_contact_list, carry_memory
 from axijax.mechanics.dynamics import initial_state, make_step
@@ -251,6 +251,23 @@ def test_a_path_of_ones_own_reaches_its_ratio():
     assert float(curve.axial_strain[-1]) > 0 and 1.0 < float(overlaps[-1] / overlaps[0]) < RATIO
     strains = np.asarray(curve.axial_strain), np.asarray(curve.volumetric_strain)
     assert float(target[0]) == pytest.approx(np.interp(2e-5, *strains), rel=1e-12)
+
+
+def test_a_path_of_ones_own_is_a_stage_among_others():
+    """The ratio is reached where it alone is the test, and kept while the platens of the next stage stand."""
+    params, _ = whole_test()
+    specimen = fcc_octagon(layers=3, half_width=3)
+    stages = page.StressRatio(RATIO, 5.0, 4.0), stage("hold", time=2.0)
+    test = TriaxialTest(specimen, params=params, stages=stages, tolerance=1e-8)
+    curve = jit(simulate.__wrapped__)(test.prepared, params)
+    assert int(curve.status) == 0
+    own, held = (np.asarray(curve.stage) == number for number in (1, 2))
+    ratio, strain = np.asarray(curve.stress_ratio), np.asarray(curve.axial_strain)
+    assert ratio[own][-1] == pytest.approx(RATIO, rel=1e-4) and ratio[held][-1] == pytest.approx(RATIO, rel=1e-3)
+    np.testing.assert_allclose(strain[held], strain[own][-1], rtol=1e-3)
+    np.testing.assert_allclose(curve.path_length[-1], np.abs(np.diff(strain[own])).sum(), rtol=0.2)
+    alone = measured()(jnp.ones(3), jnp.zeros(3))[0][0]
+    np.testing.assert_allclose(strain[own][:10], alone.axial_strain, rtol=1e-9)
 
 
 @pytest.mark.parametrize("number", [0, 1, 2], ids=["path", "contact law", "bonds"])

@@ -32,6 +32,7 @@ LASTING = 4.0  # times that a wave crosses, within which the membrane takes a la
 FASTEST = 10.0  # times the platen speed, that platens may run after a stress
 QUIET = 0.25  # times the rate of stress at which the platen speed loads an elastic specimen; where none is given
 BRAKE = 0.6  # of the rate at which speed is gained, at which it is lost
+STIFFEST = 4.0  # of a pore fluid, Kf/porosity over the specimen's stiffness against a wave
 LEAST = 1e-3  # share of the confining stress below which the membrane is not relieved
 
 
@@ -89,27 +90,30 @@ def towards(left, rate, top, ramp, dt):
     return jnp.where(there, jnp.where(there, left, 0.0) / dt, faster), there
 
 
-class Arriving(NamedTuple):
-    """A stress that is led to a value: value [F/L^2], rate [F/(L^2 T)], whether it is there."""
+class Way(NamedTuple):
+    """Of a stress that is led to a value: the share of the way that is done, its rate [1/T], whether it is there."""
 
-    value: jax.Array
+    share: jax.Array
     rate: jax.Array
     there: jax.Array
 
-    def further(self, to, top, ramp, dt) -> "Arriving":
-        rate, there = towards(to - self.value, self.rate, top, ramp, dt)
+    def further(self, stress_rate, start: Start, now: Now, *changes) -> "Way":
+        """One step later; changes: of the stresses that are led together, of which the larger goes at the rate that is
+        given, or at a quarter of that at which the platen speed loads an elastic specimen [F/L^2]."""
+        if stress_rate is None:
+            stress_rate = QUIET * start.stiffness * 2 * start.speed / now.height
+        whole = jnp.abs(jnp.stack(changes)).max()
+        rate, there = towards(
+            1 - self.share, self.rate, stress_rate / jnp.where(whole > 0, whole, 1.0), start.ramp, now.dt
+        )
         # What has arrived stays, and does not begin the next step with the rate of its last.
-        value = jnp.where(there, to, self.value + rate * dt)
-        return Arriving(value, jnp.where(there, 0.0, rate), self.there | there)
+        share = jnp.where(there, 1.0, self.share + rate * now.dt)
+        return Way(share, jnp.where(there, 0.0, rate), self.there | there)
 
 
-def _led(value) -> Arriving:
-    return Arriving(value, jnp.zeros_like(value), jnp.zeros((), bool))
-
-
-def _stress_rate(given, start: Start, height):
-    """The given one, or a quarter of that at which the platen speed loads an elastic specimen [F/(L^2 T)]."""
-    return QUIET * start.stiffness * 2 * start.speed / height if given is None else given
+def _at_its_start(start: Start) -> Way:
+    nothing = jnp.zeros_like(start.axial_stress)
+    return Way(nothing, nothing, jnp.zeros((), bool))
 
 
 class Platens:
@@ -184,7 +188,7 @@ class Cycling(Platens):
 class Pressed(Platens):
     """Platens that carry an axial stress: it is led to a value, or stays.
 
-    along: the lateral stress is led there meanwhile, and the axial stress keeps to the straight line between the two.
+    along: the lateral stress to which the membrane is led meanwhile (`Moved`), so that both go in a straight line.
     """
 
     axial_stress: jax.Array | float | None = quantity(
@@ -197,23 +201,20 @@ class Pressed(Platens):
     along: jax.Array | float | None = None
 
     def begin(self, start):
-        return _led(start.axial_stress)
+        return _at_its_start(start)
 
     def closing(self, now, start, memory):
-        led = memory
-        if self.axial_stress is not None and self.along is None:
-            led = led.further(self.axial_stress, _stress_rate(self.stress_rate, start, now.height), start.ramp, now.dt)
-        elif self.axial_stress is not None:
-            whole = self.along - start.lateral_stress
-            gone = now.lateral_stress - start.lateral_stress
-            share = jnp.where(whole == 0, 1.0, gone / jnp.where(whole == 0, 1.0, whole))
-            wanted = start.axial_stress + (self.axial_stress - start.axial_stress) * share
-            led = Arriving(wanted, led.rate, jnp.abs(share - 1) < 1e-9)
-        error = led.value - now.axial_stress
-        # What an elastic specimen needs to follow; what more it gives, it gives way to the error.
-        following = (led.value - memory.value) / now.dt * now.height / start.stiffness
+        way, wanted, following = memory, start.axial_stress, 0.0
+        if self.axial_stress is not None:
+            change = self.axial_stress - start.axial_stress
+            others = [] if self.along is None else [self.along - start.lateral_stress]
+            way = memory.further(self.stress_rate, start, now, change, *others)
+            wanted = start.axial_stress + change * way.share
+            # What an elastic specimen needs to follow; beyond that the platens give way to the error.
+            following = change * (way.share - memory.share) / now.dt * now.height / start.stiffness
+        error = wanted - now.axial_stress
         most = 2 * FASTEST * start.speed
-        return jnp.clip(following + 2 * GIVING * error / start.impedance, -most, most), led, error
+        return jnp.clip(following + 2 * GIVING * error / start.impedance, -most, most), way, error
 
     def finished(self, memory):
         return None if self.axial_stress is None else memory.there
@@ -259,7 +260,10 @@ class Held(Membrane):
 @pytree
 @dataclass(frozen=True)
 class Moved(Membrane):
-    """A lateral stress that is led to a value."""
+    """A lateral stress that is led to a value.
+
+    along: the axial stress to which the platens are led meanwhile (`Pressed`).
+    """
 
     needs_strain = False
 
@@ -269,13 +273,16 @@ class Moved(Membrane):
         "F/L^2/T", above=0.0, optional=True,
     )  # fmt: skip
 
+    along: jax.Array | float | None = None
+
     def begin(self, start):
-        return _led(start.lateral_stress)
+        return _at_its_start(start)
 
     def press(self, now, start, memory):
-        rate = _stress_rate(self.stress_rate, start, now.height)
-        memory = memory.further(self.lateral_stress, rate, start.ramp, now.dt)
-        return memory.value, memory, None, None
+        change = self.lateral_stress - start.lateral_stress
+        others = [] if self.along is None else [self.along - start.axial_stress]
+        way = memory.further(self.stress_rate, start, now, change, *others)
+        return start.lateral_stress + change * way.share, way, None, None
 
     def finished(self, memory):
         return memory.there

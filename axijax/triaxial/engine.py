@@ -202,9 +202,7 @@ def march_until(
             place = jnp.where(recorded, now.records, records)  # beyond the end: not written
             seen = jax.tree.map(lambda values, value: values.at[place].set(value, mode="drop"), seen, found)
         steps = now.steps + taken
-        watched = jax.tree.map(
-            lambda old, new: jnp.where(due == 0, new, old), now.watched, path.watch(found, state)
-        )
+        watched = jax.tree.map(lambda old, new: jnp.where(due == 0, new, old), now.watched, path.watch(found, state))
         if state.loading is not None:
             on = (due == 0) & path.going(watched, steps)
             loading = jax.tree.map(partial(jnp.where, on), path.recorded(found, state), state.loading)

@@ -27,7 +27,9 @@ from axijax.triaxial.commands import (
     CATCHING,
     LEAST,
     QUIET,
+    STIFFEST,
     Cycling,
+    Fluid,
     Held,
     Membrane,
     Moved,
@@ -240,19 +242,27 @@ class Stage(Path):
         default = QUIET * start.stiffness * 2 * start.speed / start.height
         settling = 6 * start.ramp
 
-        def leads(to, origin, given):
+        def leads(to, origin, given, *other):
             """A stress is led to a value: in which time, and how far the specimen may be strained by it."""
             nonlocal low, high
-            way = abs(to - origin) if np.isfinite(origin) else 2 * to
+            way = max(abs(to - origin) if np.isfinite(origin) else 2 * to for to, origin in ((to, origin), *other))
             bounds.append(way / (default if given is None else float(given)) + settling)
             low, high = low - 10 * way / start.stiffness, high + 10 * way / start.stiffness
 
         if isinstance(self.membrane, Moved):
             to = float(self.membrane.lateral_stress)
-            leads(to, lateral, self.membrane.stress_rate)
+            along = self.membrane.along
+            leads(to, lateral, self.membrane.stress_rate, *([] if along is None else [(float(along), axial)]))
             lateral = to
         elif not isinstance(self.membrane, Held):
             lateral = np.nan
+        if isinstance(self.membrane, Fluid):
+            ratio = float(self.membrane.fluid_modulus) / float(self.membrane.porosity) / start.stiffness
+            if ratio > STIFFEST:
+                raise ValueError(
+                    f"fluid_modulus over porosity is {ratio:.3g} times the specimen's stiffness: at most {STIFFEST:g} "
+                    "can be followed; so stiff a fluid all but keeps the volume: take lateral = 'constant_volume'."
+                )
         rate = 2 * float(getattr(self.platens, "speed", None) or start.speed) / start.height
         if isinstance(self.platens, Pressed):
             if self.platens.axial_stress is not None:

@@ -90,15 +90,22 @@ def _platens(type: str, take) -> Platens:
         return Pressed(**take("axial_stress", "stress_rate"))
     if type == "lateral_stress":
         return Pressed()
-    to, k = take("lateral_stress")["lateral_stress"], take("k").get("k", 1.0)
+    lateral, axial = _targets(take)
+    return Pressed(axial, along=lateral, **take("stress_rate"))
+
+
+def _targets(take):
+    """Lateral and axial stress at the end of an isotropic or anisotropic stage."""
+    lateral, k = take("lateral_stress")["lateral_stress"], take("k").get("k", 1.0)
     if not isinstance(k, jax.core.Tracer) and not k > 0:
         raise ValueError(f"k = {k}: must be positive.")
-    return Pressed(to / k, along=to)
+    return lateral, lateral / k
 
 
 def _membrane(type: str, lateral: str, take) -> Membrane:
     if type in LED:
-        return Moved(**take("lateral_stress", "stress_rate"))
+        along = None if type == "lateral_stress" else _targets(take)[1]
+        return Moved(along=along, **take("lateral_stress", "stress_rate"))
     if lateral in ("constant_p", "line"):
         return Line(**take("dq_dp"))
     if lateral == "fluid":
