@@ -180,6 +180,12 @@ def split_ratio(curve, number):
         (lambda: stage("compression", cycles=3), "cycles = 3: a stage of type 'compression' takes speed"),
         (lambda: test(3), r"stages = \(3,\): must be a tuple"),
         (lambda: test(stage("compression", stress_ratio=2.0)).prepared, "stage 1: .* needs a bound as well"),
+        (
+            lambda: test(
+                stage("compression", lateral="fluid", fluid_modulus=1e9, porosity=0.3, axial_strain=0.1)
+            ).prepared,
+            "fluid_modulus over porosity is .* at most 4 can be followed",
+        ),
         (lambda: test(Stage(Moving(), until=Until(time=-1.0))).prepared, "stage 1: time = -1: must be positive"),
     ],
 )
