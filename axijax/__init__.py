@@ -32,9 +32,10 @@ if _TYPE_CHECKING:
     from axijax.mechanics.rolling import Rolling, Torsion
     from axijax.specimen.specimen import Specimen, fcc_cylinder, fcc_octagon
     from axijax.triaxial.own_packing import packing, packing_of
+    from axijax.triaxial.peak import find_peak, flat_top, peak_of
     from axijax.triaxial.prepare import Prepared, prepare
     from axijax.triaxial.random_specimen import platen_speed, random_cylinder
-    from axijax.triaxial.records import Curve, SimulationError, find_peak, flat_top, raise_for_status
+    from axijax.triaxial.records import Curve, SimulationError, raise_for_status
     from axijax.triaxial.stage import Stage
     from axijax.triaxial.stage_types import stage
     from axijax.triaxial.stages import simulate
@@ -54,9 +55,10 @@ _HOMES = {
     "mechanics.rolling": ("Rolling", "Torsion"),
     "specimen.specimen": ("Specimen", "fcc_cylinder", "fcc_octagon"),
     "triaxial.own_packing": ("packing", "packing_of"),
+    "triaxial.peak": ("find_peak", "flat_top", "peak_of"),
     "triaxial.prepare": ("Prepared", "prepare"),
     "triaxial.random_specimen": ("platen_speed", "random_cylinder"),
-    "triaxial.records": ("Curve", "SimulationError", "find_peak", "flat_top", "raise_for_status"),
+    "triaxial.records": ("Curve", "SimulationError", "raise_for_status"),
     "triaxial.stage": ("Stage",),
     "triaxial.stage_types": ("stage",),
     "triaxial.stages": ("simulate",),
@@ -92,6 +94,7 @@ __all__ = [
     "flat_top",
     "packing",
     "packing_of",
+    "peak_of",
     "platen_speed",
     "prepare",
     "raise_for_status",

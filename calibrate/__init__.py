@@ -27,6 +27,10 @@ _PLACES = {
     "result": ("Fit",),
     "secant": ("fit_friction_to_peak", "fit_one"),
     "descent": ("fit_by_descent", "fit_friction_per_ball"),
+    "scene": ("RandomScene",),
+    "library": ("Library", "library_folder"),
+    "study": ("LABORATORY", "StudyTest", "fit_study"),
+    "study_result": ("StudyFit",),
     "file": ("calibrate_file",),
     "sensitivity": ("Sensitivity", "further_tests", "sensitivity"),
 }

@@ -11,6 +11,7 @@ from calibrate.fit import fit_parameters
 from calibrate.gradients import Health, gradient
 from calibrate.measured import DataError, MeasuredCurve, read_measured
 from calibrate.model import Model
+from calibrate.output import claim
 from calibrate.parameters import ParameterSet, Prior
 from calibrate.result import Fit
 from calibrate.targets import WindowMean
@@ -57,6 +58,7 @@ def calibrate_file(
     looked_wrong = curve.warnings + _other_confining_stress(curve, model, file)
     output = Path(output)
     output.mkdir(parents=True, exist_ok=True)
+    claim(output)
     log = output / "evaluations.jsonl"
     found = fit_parameters(model, curve, names, start=start, priors=priors, max_runs=max_runs, log=log)
     found = replace(found, warnings=looked_wrong + found.warnings)

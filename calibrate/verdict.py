@@ -12,7 +12,7 @@ import numpy as np
 from calibrate.evaluate import Evaluation, Evaluator
 from calibrate.measured import MeasuredCurve
 from calibrate.model import LARGEST, RunFailed
-from calibrate.result import Fit, uncertainty
+from calibrate.result import Fit, of_the_simulator, uncertainty
 from calibrate.targets import trouble
 
 CONVERGED = "converged"
@@ -85,6 +85,7 @@ def concluded(
     else:
         weighted = np.concatenate([slopes / evaluator.sigma[:, None], prior_rows[0]])
         covariance, scatter, warnings = uncertainty(parameters, residual, weighted, sigma_known)
+        covariance = covariance + of_the_simulator(best.prediction, best.stretch, evaluator.sigma, weighted)
     doubts = _doubts(evaluator, best, residual)
     if last is not None:
         allowed = np.maximum(2 * tolerance, 0.2 * np.nan_to_num(np.sqrt(np.abs(np.diag(covariance)))))

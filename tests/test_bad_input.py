@@ -172,9 +172,11 @@ CASES = {
         ["membrane_zone", "ball 0", "axis"],
     ),
     "no membrane in the sector": (
-        lambda: TriaxialTest(
-            balls((3, 3, 0), (-3, 3, 0), (-3, -3, 0), (3, -3, 0), (0, 0, 0), membrane_zone=np.arange(5) == 4)
-        ).prepared,
+        lambda: (
+            TriaxialTest(
+                balls((3, 3, 0), (-3, 3, 0), (-3, -3, 0), (3, -3, 0), (0, 0, 0), membrane_zone=np.arange(5) == 4)
+            ).prepared
+        ),
         ["membrane_zone", "axis"],
     ),
     "overlap": (

@@ -36,8 +36,6 @@ def table():
         Path(os.environ["AXIJAX_BAD_INPUTS"]).write_text("\n".join(text) + "\n")
 
 
-
-
 def told(called, folder):
     """The sentence without the folders of this test run."""
     return called.err.strip().replace(f"{folder}/", "").replace(str(folder), ".").removeprefix("axijax: ")

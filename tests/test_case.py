@@ -11,8 +11,9 @@ from cli_in_process import axijax
 
 from axijax import Hertz, LocalDamping, Params, Rolling, Scene, Sector, Torsion, TriaxialTest, fcc_octagon
 from axijax.app import case
-from axijax.app.case import GIVEN, KINDS, SECTIONS, Case, default_case, load_case, to_toml
+from axijax.app.case import GIVEN, KINDS, SECTIONS, Case, default_case, load_case
 from axijax.app.case_parts import DAMPINGS, MATERIALS
+from axijax.app.case_writing import to_toml
 from axijax.core.quantity import declared, optional_parts, settings, values_of
 from axijax.specimen.grading import sieve_curve
 
@@ -79,7 +80,8 @@ def test_a_new_case_holds_every_field_with_its_unit_default_and_range(kind, tmp_
             names = set(case.scene.takes())
         told = {each for each in names if re.search(rf"^(# )?{each} =", part, re.M)}
         assert told == names
-        assert set(data[name]) == {each for each in names if model.model_fields[each].default is not None}
+        filled = {"platen_speed"} if name == "parameters" and kind != "random" else set()
+        assert set(data[name]) - filled == {each for each in names if model.model_fields[each].default is not None}
         for each in names:
             about = re.search(rf"((?:^#.*\n)+)(# )?{each} =", part, re.M)[1].replace("\n#  ", "")
             field = model.model_fields[each]
@@ -133,9 +135,9 @@ def test_a_case_is_a_test_in_python():
 
 
 def test_descriptions_come_from_the_declarations():
-    told = SECTIONS["parameters"][0].model_fields["platen_speed"].description
-    assert told == declared(Params)["platen_speed"].description
-    assert told == "speed of each platen during shear, inward positive [L/T]"
+    told = SECTIONS["parameters"][0].model_fields["confining_stress"].description
+    assert told == declared(Params)["confining_stress"].description
+    assert told == "confining stress s3, compression positive [F/L^2]"
 
 
 # A whole case file as the version before this one wrote it, without its comments; friction alone is not its default.

@@ -184,7 +184,7 @@ FOREIGN = {
     ),
     "a later version": (
         lambda stopped, tmp: damaged(stopped, tmp, header=of_header(stopped, version=99)),
-        ["format version 99", "reads 4"],
+        ["format version 99", "reads 5"],
     ),
     "an array short": (lambda stopped, tmp: damaged(stopped, tmp, **{"state.time": None}), ["'state.time'"]),
     "an array too many": (lambda stopped, tmp: damaged(stopped, tmp, poem=np.zeros(3)), ["'poem'"]),
@@ -234,7 +234,7 @@ def test_every_part_of_a_progress_is_written(stopped):
         params = {name for name in archive.files if name.startswith("params.")}
     assert parts == {*progress.Progress._fields, "header"} - {"fixed"}
     names = {"material." + each.name for each in fields(Linear)} | {each.name for each in fields(Params)}
-    parts_or_not_there = ("platen_friction", "damping", "rolling", "torsion")
+    parts_or_not_there = ("platen_friction", "plane_friction", "damping", "rolling", "torsion")
     gone = {"material", "terms", *(f"material.{name}" for name in parts_or_not_there)}
     expected = names - gone | {"material.damping." + each.name for each in fields(Dashpot)}
     assert params == {"params." + name for name in expected}, "the names in the file are the fields' names"

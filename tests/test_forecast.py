@@ -95,6 +95,7 @@ grading = "sand.csv"
 order = 2
 [parameters]
 friction = 0.04
+platen_speed = 0.01
 [test]
 tolerance = 0.01
 axial_strain = 0.02

@@ -8,7 +8,7 @@ import pytest
 from cli_in_process import SMALL, axijax, write
 
 from axijax.app.batch_files import open_batch
-from axijax.triaxial.records import find_peak, flat_top
+from axijax.triaxial.peak import find_peak, flat_top
 
 STRAIN = np.linspace(0, 0.01, 201)
 RISING = 1 + 2 * np.tanh(STRAIN / 0.004)

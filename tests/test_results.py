@@ -13,18 +13,17 @@ import pytest
 from small_result import CASE
 
 from axijax.app import checks as checks_module
-from axijax.app import plot, results
+from axijax.app import labels, results
 from axijax.app.case import Case
 from axijax.app.checks import result_checks
 from axijax.app.report import report_page
-from axijax.app.results import RECORDS, open_result, open_results
+from axijax.app.results import open_result, open_results
 from axijax.app.snapshot import snapshot
 from axijax.core.vector import Vector
 from axijax.mechanics.dynamics import all_forces, initial_state
 from axijax.mechanics.membrane import membrane_load
 from axijax.mechanics.observe import observe
-from axijax.triaxial.records import RECORDS as CURVE_RECORDS
-from axijax.triaxial.records import Confinement, no_records
+from axijax.triaxial.records import Confinement, no_records, quantities_of
 from axijax.triaxial.test import Progress
 from calibrate import read_measured
 
@@ -60,12 +59,12 @@ def found_in(scene, dt, network, membrane, state, params):
 def test_curve_comes_back_from_every_file(result, folder):
     """NetCDF, CSV for spreadsheets and for calibrate, and the checkpoint's records hold the same numbers."""
     curve = result.curve
-    assert RECORDS == CURVE_RECORDS and result.status == "finished" and result.name == "small"
+    assert result.status == "finished" and result.name == "small"
     assert curve.axial_strain.attrs["units"] == "1" and curve.membrane_radius.attrs["units"] == "L"
     lines = (folder / "curve.csv").read_text().splitlines()
     assert lines[0].startswith("# axijax") and "compression positive" in lines[0]
     heads = lines[1].split(",")
-    assert heads[:2] == ["axial_strain [-]", "stress_ratio [-]"] and heads[-1] == "membrane_radius [L]"
+    assert heads[:2] == ["axial_strain [-]", "stress_ratio [-]"] and "membrane_radius [L]" in heads
     table = np.loadtxt(lines[2:], delimiter=",").T
     for head, column in zip(heads, table, strict=True):
         np.testing.assert_array_equal(curve[head.split(" ")[0]].values, column)
@@ -81,8 +80,8 @@ def test_an_unfinished_run_has_the_curve_up_to_its_checkpoint(result, copied):
     (copied / "curve.nc").unlink()
     (copied / "run.json").write_text(json.dumps({"status": "interrupted", "message": "Ctrl-C"}))
     unfinished = open_result(copied)
-    assert unfinished.status == "interrupted" and plot.labels([unfinished]) == ["small (interrupted)"]
-    for name in RECORDS:
+    assert unfinished.status == "interrupted" and labels.labels([unfinished]) == ["small (interrupted)"]
+    for name in quantities_of(result.curve):
         np.testing.assert_array_equal(unfinished.curve[name].values, result.curve[name].values)
     told = replace(unfinished, path=copied / "curve.nc")  # without the pictures
     told.__dict__["case"] = result.case

@@ -18,7 +18,7 @@ from small_result import CASE
 from typer.testing import CliRunner
 
 from axijax.app import figures as pictures
-from axijax.app import paraview, plot
+from axijax.app import labels, paraview, plot
 from axijax.app.case import Case
 from axijax.app.checks import result_checks
 from axijax.app.report import report_page
@@ -195,7 +195,7 @@ def test_runs_are_named_by_what_was_chosen_not_by_what_follows(result):
     """Another contact law has other parameters, which its name says already."""
     other = replace(result)
     other.__dict__["case"] = Case(**CASE | {"scene": {"contact_law": "hertz"}})
-    assert plot.labels([result, other]) == ["contact law linear", "contact law hertz"]
+    assert labels.labels([result, other]) == ["contact law linear", "contact law hertz"]
 
 
 def test_force_network_is_as_wide_as_the_forces(moment):
@@ -292,7 +292,7 @@ def test_report_stands_alone_and_tells_all(result):
     page = Page(text)
     assert not page.wrong and not page.open and not page.fetched
     assert "<script" not in text and "http" not in text and "@import" not in text and "url(" not in text
-    assert page.images == 6
+    assert page.images == 10
     for values in result.case.model_dump().values():
         for name, value in values.items():
             words = {"None": "left out", "True": "true", "False": "false"}

@@ -81,8 +81,9 @@ def test_the_folder_tells_what_was_run(finished):
 def test_a_pipe_gets_a_few_plain_lines(finished):
     _, called = finished
     lines = called.out.strip().splitlines()
-    assert len(lines) == 3 and "\x1b" not in called.out and called.err == ""
-    assert "26 balls" in lines[0] and "confined in" in lines[1] and "peak stress ratio" in lines[2]
+    assert len(lines) == 12 and "\x1b" not in called.out and called.err == ""
+    assert "26 balls" in lines[0] and "confined in" in lines[1] and "peak stress ratio" in lines[-1]
+    assert all(" [" in line and len(line) < 100 for line in lines[2:-1]), "the summary, with units"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -209,6 +210,8 @@ balls = 48
 compaction_friction = 0.3
 [sector]
 order = 3
+[parameters]
+platen_speed = 0.01
 [test]
 axial_strain = 0.004
 tolerance = 1e-3

@@ -12,7 +12,8 @@ import pytest
 
 import axijax
 from axijax import Params, Sector, TriaxialTest, fcc_octagon, raise_for_status, stage
-from axijax.app.case import Case, default_case, make_case, to_toml
+from axijax.app.case import Case, default_case, make_case
+from axijax.app.case_writing import to_toml
 from axijax.mechanics.energy import energy_balance, make_ledger_step, open_ledger
 from axijax.triaxial import progress
 from axijax.triaxial import stages as functions

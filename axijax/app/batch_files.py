@@ -18,7 +18,8 @@ from axijax.core.files import remove_leftovers, writable_folder, write_whole
 from axijax.core.fingerprint import differences, fingerprint, versions
 from axijax.core.quantity import values_of
 from axijax.mechanics.params import Params
-from axijax.triaxial.records import Confinement, Curve, find_peak, records_of
+from axijax.triaxial.peak import at_peak, peak_of
+from axijax.triaxial.records import Confinement, Curve, records_of
 from axijax.triaxial.test import TriaxialTest
 
 if TYPE_CHECKING:
@@ -28,7 +29,9 @@ MEMBERS = "members"  # the folder of the members' files
 FAILED = ".failed.json"
 SUMMARY = "summary.csv"
 READ_ERRORS = (OSError, TypeError, ValueError, KeyError, IndexError, AttributeError, EOFError, MemoryError)
-PEAK = ("peak_ratio", "core_ratio_at_peak", "virial_ratio_at_peak", "axial_strain_at_peak", "peak_reached")
+PEAK = (
+    "peak_ratio", "peak_error", "core_ratio_at_peak", "virial_ratio_at_peak", "axial_strain_at_peak", "peak_reached",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -46,15 +49,14 @@ class Stored:
         """Its curve with dimension record, and everything else as scalar coordinates and attributes."""
         assert self.curve is not None
         curve = self.curve
-        peak = find_peak(curve.axial_strain, curve.stress_ratio)
-        at_peak: list[float | bool] = [
-            float(getattr(curve, n)[peak.record])
-            for n in ("stress_ratio", "core_ratio", "virial_ratio", "axial_strain")
-        ]
-        at_peak.append(peak.reached)
+        peak = peak_of(curve)
+        there: list[float | bool] = [
+            peak.stress_ratio, np.nan if peak.error is None else peak.error, at_peak(curve, peak, "core_ratio"),
+            at_peak(curve, peak, "virial_ratio"), peak.axial_strain, peak.reached,
+        ]  # fmt: skip
         scalars = {name: float(value) for name, value in values_of(self.params).items() if np.ndim(value) == 0}
         # A label says what was asked for; a parameter of the same name is the same number.
-        about = scalars | self.labels | dict(zip(PEAK, at_peak, strict=True)) | {"seconds": self.seconds}
+        about = scalars | self.labels | dict(zip(PEAK, there, strict=True)) | {"seconds": self.seconds}
         attributes = {
             "identity": json.dumps(identity(self.test, self.params)),
             "labels": json.dumps(list(self.labels)),

@@ -19,19 +19,28 @@ they exist once.
 
 import inspect
 import math
-import re
-import textwrap
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
 
 from pydantic import BaseModel, Field, ValidationError, create_model, model_serializer, model_validator
 
-from axijax.app.case_parts import ParametersCase, SceneCase, Section, bounds, build_params, check_used
+from axijax.app.case_parts import (
+    LEFT_OUT,
+    SLOW,
+    ParametersCase,
+    SceneCase,
+    Section,
+    bounds,
+    build_params,
+    check_used,
+    described,
+)
 from axijax.app.case_reading import nearest, read_toml, sentence
-from axijax.app.case_stages import HELP, StageCase
+from axijax.app.case_stages import StageCase
 from axijax.core.quantity import settings
 from axijax.core.sector import Sector
+from axijax.mechanics.hertz import Hertz
 from axijax.mechanics.params import Params
 from axijax.specimen.specimen import Specimen, fcc_cylinder, fcc_octagon, lattice_cylinder
 from axijax.triaxial.test import TriaxialTest
@@ -56,18 +65,12 @@ KINDS: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
     "random": (
         (
             "balls", "smallest_radius", "largest_radius", "grading", "aspect_ratio", "compaction_friction",
-            "void_ratio", "seed",
+            "void_ratio", "relative_density", "seed",
         ),
         (),  # made for the sector, whatever its order
     ),
     "file": (("path",), ()),  # what fits depends on the balls
 }  # fmt: skip
-
-# Fields that a file may leave to the specimen.
-LEFT_OUT = {
-    "confining_friction": "left out: none, but for a random specimen that of its compaction, and for a packing from a "
-    "file that of the test"
-}
 
 
 def _section(name: str, source: type) -> Any:
@@ -76,12 +79,11 @@ def _section(name: str, source: type) -> Any:
     made: dict[str, Any] = {}
     for each, about in settings(source).items():
         kind, default = hints[each], source.__dataclass_fields__[each].default  # type: ignore[attr-defined]
-        told: dict[str, Any] = {"description": about.description}
+        told: dict[str, Any] = {"description": described(each, about)}
         if {int, float} & {kind, *get_args(kind)}:  # words and switches have no bounds
             told |= bounds(about)
         if each in LEFT_OUT:
             kind, default = kind | None, None
-            told["description"] += f"; {LEFT_OUT[each]}"
         made[each] = (kind, Field(default, **told))
     return create_model(name, __base__=Section, __doc__=inspect.getdoc(source), **made)
 
@@ -119,7 +121,15 @@ class SpecimenCase(Section):
     void_ratio: float | None = Field(
         None,
         gt=0,
-        description="void ratio sought in place of compaction_friction, to 0.005, in up to twelve compactions [-]",
+        description="void ratio sought in place of compaction_friction, to 0.005, in up to twelve compactions; the one "
+        "that a test's records begin with, counted below the skin [-]",
+    )
+    relative_density: float | None = Field(
+        None,
+        ge=0,
+        le=1,
+        description="sought in place of compaction_friction, between the loosest (0) and the densest (1) packing of "
+        "this grading and size at this confining stress, which are found once and kept [-]",
     )
     seed: int = Field(0, ge=0, lt=2**63, description="of the random numbers [-]")
     path: str = Field(
@@ -133,6 +143,10 @@ class SpecimenCase(Section):
         taken = KINDS[self.kind][0]
         for name in self.model_fields_set - {"kind", *taken}:
             raise ValueError(f"{name} does not belong to kind = '{self.kind}', which takes {', '.join(taken)}")
+        if self.void_ratio is not None and self.relative_density is not None:
+            raise ValueError(
+                f"void_ratio = {self.void_ratio:g}, relative_density = {self.relative_density:g}: give one of them only"
+            )
         return self
 
     @model_validator(mode="after")
@@ -168,7 +182,7 @@ class SpecimenCase(Section):
 
 
 if TYPE_CHECKING:
-    from axijax.triaxial.random_specimen import PackingReport
+    from axijax.triaxial.packing_report import PackingReport
 
 if TYPE_CHECKING:  # mypy cannot see the fields of classes made while running
 
@@ -196,6 +210,8 @@ class Case(Section):
     @model_validator(mode="after")
     def _used(self) -> "Case":
         check_used(self.scene, self.parameters)
+        if self.specimen.kind != "random" and self.parameters.platen_speed is None:
+            self.parameters = self.parameters.model_copy(update={"platen_speed": float(Params().platen_speed)})
         if self.stage and "axial_strain" in self.test.model_fields_set:
             raise ValueError(
                 "test.axial_strain would do nothing beside [[stage]]: leave it out, and give the stages where they end"
@@ -226,6 +242,8 @@ class Case(Section):
         if specimen is None:
             case, specimen, _ = self.made()
             return case.build(specimen)
+        if self.parameters.platen_speed is None:
+            return self._slow(specimen).build(specimen)
         options = self.test.model_dump()
         options["confining_friction"] = options["confining_friction"] or 0.0
         return TriaxialTest(
@@ -252,13 +270,24 @@ class Case(Section):
                 own = self.parameters.friction if self.scene.friction else 0.0
                 return self.with_test(confining_friction=own), self.specimen.build(), None
             return self, self.specimen.build(), None
-        wanted = {"normal_stiffness", "shear_stiffness", "confining_stress", "density", "damping_ratio"}
+        stiffness = {"normal_stiffness", "shear_stiffness", "shear_modulus", "poisson_ratio"}
+        wanted = {*stiffness, "confining_stress", "density", "damping_ratio"}
         material = self.parameters.model_dump(include=wanted & set(self.scene.takes()))
         specimen, report = _packed(
             self.specimen.model_dump_json(), self.sector.model_dump_json(), tuple(material.items())
         )
         case = self.with_test(confining_friction=report.compaction_friction if friction is None else friction)
-        return case, specimen, report
+        return case._slow(specimen), specimen, report
+
+    def _slow(self, specimen: Specimen) -> "Case":
+        """The same case with the speed that it leaves to a random specimen."""
+        if self.parameters.platen_speed is not None:
+            return self
+        from axijax.triaxial.random_specimen import platen_speed
+
+        speed = platen_speed(SLOW, specimen, build_params(self.scene, self.parameters))
+        changed = {"platen_speed": float(f"{speed:.4g}")}
+        return self.model_copy(update={"parameters": self.parameters.model_copy(update=changed)})
 
     def with_test(self, **changes) -> "Case":
         """The same case with other fields in its section [test]."""
@@ -280,8 +309,9 @@ def _packed(specimen: str, sector: str, material: tuple[tuple[str, Any], ...]) -
         )
     grading = linear(smallest, largest) if path is None else sieve_curve(path)
     ours = Sector(**SectorCase.model_validate_json(sector).model_dump())
+    params = Params(Hertz() if "shear_modulus" in dict(material) else None, **dict(material))
     try:
-        return random_cylinder(sector=ours, grading=grading, params=Params(**dict(material)), **options)
+        return random_cylinder(sector=ours, grading=grading, params=params, **options)
     except RuntimeError as error:
         told = str(error).rpartition(": ")[0]  # its own remedy is for callers of the function
         raise RuntimeError(
@@ -315,71 +345,6 @@ def default_case(kind: str = "octagon") -> Case:
     elif 4 not in KINDS[kind][1]:
         sections["sector"] = {"order": max(KINDS[kind][1])}
     return Case(**sections)
-
-
-def to_toml(case: Case) -> str:
-    """The case as a file: every field that its specimen takes, with unit, default and what is allowed in a comment."""
-    lines = [
-        "# A triaxial test for `axijax run`. Units: any consistent set of length [L], time [T] and mass [M];",
-        "# force [F] = [M L/T^2]. A line left out takes its default.",
-    ]
-    for name, (model, heading) in SECTIONS.items():
-        values = getattr(case, name)
-        lines += ["", f"# {heading}", f"[{name}]"]
-        for field, about in model.model_fields.items():
-            if name == "specimen" and field not in ("kind", *KINDS[case.specimen.kind][0]):
-                continue
-            if name == "parameters" and field not in case.scene.takes():
-                continue
-            if name == "test" and field == "axial_strain" and case.stage:
-                continue
-            default = about.default
-            if name == "sector" and field == "order" and KINDS[case.specimen.kind][1]:
-                allowed = f"{_allowed(about)}; this specimen takes {_listed(KINDS[case.specimen.kind][1])}"
-            else:
-                allowed = _allowed(about)
-            told = [about.description, allowed, "" if default is None else f"default {_toml(default)}"]
-            text = "; ".join(part for part in told if part)
-            lines += textwrap.wrap(text, 110, initial_indent="# ", subsequent_indent="#   ", break_on_hyphens=False)
-            value = getattr(values, field)
-            lines.append(f"# {field} =" if value is None else f"{field} = {_toml(value)}")
-    for each in case.stage:
-        given = each.model_dump(exclude_unset=True, exclude_none=True)
-        lines += ["", "[[stage]]", *(f"{field} = {_toml(value)}" for field, value in given.items())]
-    return "\n".join(lines) + "\n" + ("" if case.stage else HELP)
-
-
-def _allowed(about) -> str:
-    """What a field may hold, in words."""
-    kind = about.annotation
-    if get_origin(kind) is Literal:
-        choices = [f'"{choice}"' for choice in get_args(kind)]
-        return "" if all(choice in about.description for choice in choices) else "one of " + ", ".join(choices)
-    if kind is bool:
-        return "true or false"
-    signs = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
-    rules = [(sign, getattr(rule, name, None)) for rule in about.metadata for name, sign in signs.items()]
-    limits = [f"{sign} {limit:g}" for sign, limit in rules if limit is not None]
-    return f"{'whole number ' if kind is int else ''}{' and '.join(limits)}".strip()
-
-
-def _listed(numbers) -> str:
-    *most, last = map(str, numbers)
-    return f"{', '.join(most)} or {last}" if most else last
-
-
-def _toml(value) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, float):
-        return re.sub(r"(\.0)?e([-+])0*", lambda m: "e-" if m[2] == "-" else "e", _shortest(value))
-    return f'"{value}"' if isinstance(value, str) else str(value)
-
-
-def _shortest(value: float) -> str:
-    """Digits that read back to the same number; large ones with an exponent."""
-    short = f"{value:.6g}"
-    return short if "e" in short and float(short) == value else repr(value)
 
 
 def load_case(path: Path | str) -> Case:

@@ -13,8 +13,10 @@ from axijax.core.vector import from_rows
 from axijax.mechanics.observe import in_core
 from axijax.specimen.grading import WELL_MET
 from axijax.triaxial.engine import STALE
-from axijax.triaxial.records import CHATTER, Peak, find_peak
+from axijax.triaxial.peak import Peak, at_peak, peak_of
+from axijax.triaxial.records import CHATTER
 from axijax.triaxial.test import TriaxialTest
+from axijax.triaxial.uniformity import ISOTROPIC, SCATTERS
 
 # Axial strain over which the energy ledger is kept, where it is asked for.
 LEDGER_STRAIN = 5e-4
@@ -69,8 +71,8 @@ def _at_most(name: str, value, limit: float, meaning: str) -> Check:
 
 def _curve_checks(result: Result) -> list[Check]:
     curve = result.curve
-    peak = find_peak(curve.axial_strain.values, curve.stress_ratio.values)
-    at_peak = curve.isel(record=peak.record)
+    peak = peak_of(curve)
+    there = curve.isel(record=peak.record)
     place = "the peak" if peak.reached else "the largest stress ratio"
     checks = [_peak_check(peak)]
     try:
@@ -89,7 +91,7 @@ def _curve_checks(result: Result) -> list[Check]:
                 "|s1 - s3| / s3: the stress was isotropic before shear",
             ),
         ]  # fmt: skip
-    platen, virial, core = (float(at_peak[name]) for name in ("stress_ratio", "virial_ratio", "core_ratio"))
+    platen, virial, core = (at_peak(curve, peak, name) for name in ("stress_ratio", "virial_ratio", "core_ratio"))
     checks += [
         _at_most(
             f"unbalanced force around {place}",
@@ -99,12 +101,12 @@ def _curve_checks(result: Result) -> list[Check]:
         ),
         _at_most(
             f"platen against virial stress ratio at {place}", abs(platen / virial - 1),
-            _radius_limit(test, float(at_peak.membrane_radius)),
+            _radius_limit(test, float(there.membrane_radius)),
             f"{platen:.4g} from platen force and radius Rm, {virial:.4g} from forces alone: a wide gap means that Rm "
             "is not the radius at which the membrane acts",
         ),
         _at_most(
-            f"chatter at {place}", max(0.0, float(at_peak.chatter)), CHATTER,
+            f"chatter at {place}", max(0.0, float(there.chatter)), CHATTER,
             "contacts moving to and fro from step to step: above the limit the step is too long, the peak wrong",
         ),
         _at_most(
@@ -113,7 +115,7 @@ def _curve_checks(result: Result) -> list[Check]:
         ),
     ]  # fmt: skip
     if np.isfinite(core):
-        checks.append(_core_check(test, platen, core, float(at_peak.membrane_radius), place))
+        checks.append(_core_check(test, platen, core, float(there.membrane_radius), place))
     return checks
 
 
@@ -127,18 +129,30 @@ def _peak_check(peak: Peak) -> Check:
 
 
 def _packing_checks(result: Result) -> list[Check]:
-    """Whether a random specimen's balls have the masses that the sieves of its grading ask for."""
+    """Whether a random specimen's balls have the masses that the sieves of its grading ask for, and whether it was
+    isotropic and uniform when the shear began."""
     packing = result.info.get("packing")
-    deviation = packing.get("deviation") if isinstance(packing, dict) else None
-    if deviation is None:
+    if not isinstance(packing, dict):
         return []
-    return [
-        _at_most(
-            "grading met", deviation, WELL_MET,
-            "by how much of the whole mass the worst fraction between two sieves misses what was asked for: more balls "
-            "meet it better",
-        )
-    ]  # fmt: skip
+    checks = []
+    if packing.get("deviation") is not None:
+        checks.append(
+            _at_most(
+                "grading met", packing["deviation"], WELL_MET,
+                "by how much of the whole mass the worst fraction between two sieves misses what was asked for: more "
+                "balls meet it better",
+            )
+        )  # fmt: skip
+    error, core = packing.get("core_stress_error"), float(result.curve.core_ratio[0])
+    if error is not None and np.isfinite(error) and np.isfinite(core):
+        checks.append(
+            _at_most(
+                "core isotropic when shear begins", abs(core - 1), ISOTROPIC + SCATTERS * error,
+                f"vertical over horizontal stress of the inner core is {core:.3f}; of {packing['core_contacts']} "
+                f"contacts 1 +- {error:.2g} is expected: allowed are {ISOTROPIC:g} and {SCATTERS:g} times that",
+            )
+        )  # fmt: skip
+    return checks
 
 
 def _radius_limit(test: TriaxialTest | None, radius: float) -> float:

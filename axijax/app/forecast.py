@@ -20,7 +20,7 @@ from axijax.triaxial.records import Confinement, SimulationError, no_records
 from axijax.triaxial.test import TriaxialTest
 
 if TYPE_CHECKING:
-    from axijax.triaxial.random_specimen import PackingReport
+    from axijax.triaxial.packing_report import PackingReport
 
 # Steps that lattices need to be confined (1450 to 3200 of them, whatever their stiffness and stress).
 CONFINEMENT_STEPS = 3000

@@ -5,25 +5,19 @@ import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
 
 import matplotlib
 import numpy as np
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 
-from axijax import theory
+from axijax.app import soil_figures
+from axijax.app.labels import Measured, case_of, labels, line_of, plain, thornton_ratio
 from axijax.app.results import Result, open_result
-from axijax.core.files import draw_afterwards, printable, writable_folder, write_whole
+from axijax.core.files import draw_afterwards, writable_folder, write_whole
 from axijax.triaxial.progress import Run
 from axijax.triaxial.test import TriaxialTest
 
-if TYPE_CHECKING:
-    from axijax.app.case import Case
-
-# Colours that the colour-blind tell apart (Okabe and Ito 2008); lines beyond them change their style.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-STYLES = ("-", "--", "-.", ":")
 FRICTION_COLOURS = {0.05: "#2a9d8f", 0.12278: "#1d3557", 0.2: "#e9a23b", 0.3: "#c1440e"}
 
 
@@ -79,77 +73,6 @@ def stress_ratio_figure(rows) -> Figure:
     return figure
 
 
-class Measured(Protocol):
-    """A measured curve: strains are fractions, compression positive; see `calibrate.MeasuredCurve`."""
-
-    axial_strain: np.ndarray
-    stress_ratio: np.ndarray
-    volumetric_strain: np.ndarray | None
-    source: str
-
-
-def case_of(result: Result) -> "Case | None":
-    """The case of a result, None where it has kept none."""
-    try:
-        return result.case
-    except ValueError:
-        return None
-
-
-def labels(results: Sequence[Result]) -> list[str]:
-    """A name for each of several results: the fields in which their cases differ, or else what they are called."""
-    names = [result.name for result in results]
-    cases = [case_of(result) for result in results]
-    if len(results) > 1 and all(case is not None for case in cases):
-        flat = [
-            {
-                f"{section}.{field}": value
-                for section, fields in case.sections().items()
-                for field, value in fields.items()
-            }
-            for case in cases
-            if case is not None
-        ]
-        known = dict.fromkeys(field for fields in flat for field in fields)
-        # The time step that a run has chosen follows from the rest.
-        known.pop("test.time_step", None)
-        # A field that only some have follows from one that differs, such as contact_law.
-        differing = [field for field in known if len({repr(fields[field]) for fields in flat if field in fields}) > 1]
-        told = [
-            ", ".join(
-                f"{field.split('.')[1].replace('_', ' ')} {_short(fields[field])}"
-                for field in differing
-                if field in fields
-            )
-            for fields in flat
-        ]
-        if len(set(told)) == len(told) and max(map(len, told)) <= 60:
-            names = told
-    return [
-        name if result.status == "finished" else f"{name} ({result.status})"
-        for name, result in zip(names, results, strict=True)
-    ]
-
-
-def thornton_ratio(case: "Case") -> float | None:
-    """Thornton's stress ratio of the ideal array where the specimen is an FCC one, 2 (1 + f) / (1 - f) [-].
-
-    None for other specimens, and for a friction of 1 or more."""
-    friction = case.parameters.friction if case.scene.friction else 0.0
-    if case.specimen.kind not in ("octagon", "fcc") or friction >= 1:  # where the ideal array locks
-        return None
-    return float(theory.fcc_stress_ratio(friction))
-
-
-def _plain(text: str) -> str:
-    """A name as it is: matplotlib would read what is between two $ as mathematics."""
-    return printable(text).replace("$", r"\$")
-
-
-def _short(value) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
 def curve_figure(results: Sequence[Result], data: Measured | None = None) -> Figure:
     """Stress ratio and volumetric strain against axial strain, one line a run; Thornton's stress ratio where the
     specimen is an FCC array; measured data as points."""
@@ -158,23 +81,22 @@ def curve_figure(results: Sequence[Result], data: Measured | None = None) -> Fig
     lines: dict[str, tuple[float, str]] = {}
     for number, (result, name) in enumerate(zip(results, labels(results), strict=True)):
         curve, case = result.curve, case_of(result)
-        colour, style = COLOURS[number % len(COLOURS)], STYLES[number // len(COLOURS) % len(STYLES)]
         strain = 100 * curve.axial_strain.values
         # Thinner from one to the next, so that runs that coincide still show.
         width = 1.6 + 1.6 * (len(results) - 1 - number) / max(len(results) - 1, 1)
-        line = {"color": colour, "ls": style, "lw": width}
-        upper.plot(strain, curve.stress_ratio.values, label=_plain(name), **line)
+        line = {**line_of(number), "lw": width}
+        upper.plot(strain, curve.stress_ratio.values, label=plain(name), **line)
         lower.plot(strain, 100 * curve.volumetric_strain.values, **line)
         ratio = None if case is None else thornton_ratio(case)
         if case is not None and ratio is not None:
             friction = case.parameters.friction if case.scene.friction else 0.0
-            lines.setdefault(f"Thornton (1979), f = {friction:g}", (ratio, colour))
+            lines.setdefault(f"Thornton (1979), f = {friction:g}", (ratio, line["color"]))
     end = max(100 * float(result.curve.axial_strain.max()) for result in results)
     for label, (ratio, colour) in lines.items():
         upper.plot([0, end], [ratio, ratio], color=colour, lw=1, ls=(0, (6, 3)), label=label)
     if data is not None:
         points = {"color": "black", "ls": "none", "marker": "o", "mfc": "none", "ms": 5}
-        label = _plain(f"measured, {Path(data.source).name}")
+        label = plain(f"measured, {Path(data.source).name}")
         upper.plot(100 * data.axial_strain, data.stress_ratio, label=label, **points)
         if data.volumetric_strain is not None:
             lower.plot(100 * data.axial_strain, 100 * data.volumetric_strain, **points)
@@ -186,15 +108,19 @@ def curve_figure(results: Sequence[Result], data: Measured | None = None) -> Fig
     return figure
 
 
+# What `axijax plot --kind` draws of curves, all results in one picture.
+CURVES = {"curve": curve_figure, **soil_figures.KINDS}
+
+
 def plot_result(
     results: Sequence[Result], kinds: Sequence[str], output: Path, data: Measured | None = None
 ) -> list[Path]:
     """Draw results as PNG files and return their paths.
 
-    kinds: "curve" (all results in one picture), and of `pictures.KINDS`, one picture a result: "force-network",
-        "fabric-rose", "membrane-cells", "section", "specimen".
+    kinds: of `CURVES`, all results in one picture ("curve", "q-eps", ..), and of `pictures.KINDS`, one picture a
+        result: "force-network", "fabric-rose", "membrane-cells", "section", "specimen".
     output: a file where one picture is made; otherwise a folder, made where it is missing.
-    data: measured curve for "curve".
+    data: measured curve for the pictures against strain, and for "stress-dilatancy".
 
     A picture that cannot be drawn costs a warning, the others are drawn all the same.
 
@@ -205,13 +131,13 @@ def plot_result(
     from axijax.app.snapshot import snapshot
 
     kinds = list(dict.fromkeys(kinds))
-    known = ("curve", *pictures.KINDS)
+    known = (*CURVES, *pictures.KINDS)
     for kind in kinds:
         if kind not in known:
             near = difflib.get_close_matches(kind, known, n=1, cutoff=0.4)
             hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}."
             raise ValueError(f"kind = '{kind}' is no picture; {hint}")
-    count = sum(1 if kind == "curve" else len(results) for kind in kinds)
+    count = sum(1 if kind in CURVES else len(results) for kind in kinds)
     if output.suffix and count > 1:
         raise ValueError(f"output '{output}': {count} pictures do not fit one file; give a folder.")
     writable_folder(output.parent if output.suffix else output)
@@ -226,9 +152,10 @@ def plot_result(
         else:
             missing.append(problem)
 
-    if "curve" in kinds:
-        save(lambda: curve_figure(results, data), "curve")
-    drawn = [kind for kind in kinds if kind != "curve"]
+    for kind in kinds:
+        if kind in CURVES:
+            save(partial(CURVES[kind], results, data), kind)
+    drawn = [kind for kind in kinds if kind not in CURVES]
     names = [result.name for result in results]
     for number, result in enumerate(results):
         if not drawn:
@@ -321,9 +248,10 @@ def deformed_figure(test: TriaxialTest, run: Run) -> Figure:
         matplotlib.cm.ScalarMappable(colours, "YlOrRd"), ax=[outside, section, plan], shrink=0.7, pad=0.01,
         label="displacement relative to first neighbours / diameter",
     )  # fmt: skip
+    friction = test.params.friction
+    told = "without friction" if friction is None else f"f = {float(np.mean(np.asarray(friction))):g}"
     figure.suptitle(
-        f"Deformed specimen, f = {float(test.params.friction):g}, "
-        f"axial strain {100 * float(curve.axial_strain[-1]):.1f} % "
+        f"Deformed specimen, {told}, axial strain {100 * float(curve.axial_strain[-1]):.4g} % "
         "(arrows: displacement; ringed: membrane zone; dashed: sector planes)"
     )
     return figure

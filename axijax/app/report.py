@@ -18,14 +18,18 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from axijax.app import figures as pictures
-from axijax.app.case import SECTIONS, to_toml
+from axijax.app.case import SECTIONS
 from axijax.app.case_stages import StageCase
+from axijax.app.case_writing import to_toml
 from axijax.app.checks import result_checks
-from axijax.app.plot import Measured, case_of, curve_figure, labels, thornton_ratio
-from axijax.app.results import RECORDS, Result, records_of
+from axijax.app.labels import Measured, case_of, labels, thornton_ratio
+from axijax.app.plot import CURVES, curve_figure
+from axijax.app.results import Result
 from axijax.app.snapshot import snapshot
 from axijax.core.files import draw_afterwards, write_whole
-from axijax.triaxial.records import find_peak
+from axijax.triaxial.laboratory import laboratory
+from axijax.triaxial.peak import at_peak
+from axijax.triaxial.records import quantities_of
 
 DPI = 110
 
@@ -37,6 +41,13 @@ CAPTIONS = {
     "is shown four times.",
     "membrane-cells": "The membrane's cells on the unfolded cylinder: each outer ball carries the confining stress on "
     "its cell.",
+}
+
+SOIL = {
+    "friction-dilatancy": "Mobilised friction angle, sin(phi) = (R - 1)/(R + 1), and dilatancy rate.",
+    "stress-dilatancy": "Stress ratio against dilatancy, and Rowe's line R = K D with K = tan²(45° + phi/2).",
+    "q-p": "Deviatoric against mean stress.",
+    "mohr": "Mohr's circles at the largest stress ratio, and their envelope.",
 }
 
 VERDICTS = {
@@ -108,6 +119,8 @@ def report_page(results: Sequence[Result], data: Measured | None = None, energy:
     else:
         body.append(_figures(results[0]))
     body += ["<h2>Curves</h2>", _figure(lambda: curve_figure(results, data), _curves_caption(results, data), "curves")]
+    drawn = {kind: _figure(partial(CURVES[kind], results, data), caption, kind) for kind, caption in SOIL.items()}
+    body.append(f'<div class="beside">{"".join(drawn.values())}</div>')
     for result, name in zip(results, names, strict=True):
         head = (lambda text, name=name: f"<h2>{escape(name)}: {text}</h2>") if several else "<h2>{}</h2>".format
         body += [head("Checks" if not several else "checks"), _checks(result, energy)]
@@ -135,22 +148,13 @@ def _warning(result: Result, name: str) -> str:
 
 def _summary(result: Result) -> dict[str, str]:
     """What a reader looks for first, by name."""
-    curve, case = result.curve, case_of(result)
-    peak = find_peak(curve.axial_strain.values, curve.stress_ratio.values)
-    if peak.reached:
-        summary = {"peak stress ratio s1/s3 [-]": f"{peak.stress_ratio:.4g}"}
-        summary["axial strain at the peak [%]"] = f"{100 * peak.axial_strain:.3g}"
-    else:
-        summary = {f"largest stress ratio s1/s3 so far [-], {peak.doubt}": f"{peak.stress_ratio:.4g}"}
-        summary["axial strain there [%]"] = f"{100 * peak.axial_strain:.3g}"
+    found, case = laboratory(result.curve), case_of(result)
+    summary = found.rows(case.test.axial_strain if case is not None and result.status == "finished" else None)
     if case is not None and thornton_ratio(case) is not None:
         summary["Thornton (1979), rigid balls that do not rotate [-]"] = f"{thornton_ratio(case):.4g}"
-    summary |= {
-        "core stress ratio there [-]": f"{float(curve.core_ratio[peak.record]):.4g}",
-        "volumetric strain at the end [%]": f"{100 * float(curve.volumetric_strain[-1]):.3g}",
-        "axial strain reached [%]": f"{100 * float(curve.axial_strain[-1]):.3g}",
-    }
-    return summary
+    where = "at the peak" if found.peak.reached else "there"
+    core = f"core stress ratio {where} [-]"
+    return summary | {core: f"{at_peak(result.curve, found.peak, 'core_ratio'):.4g}"}
 
 
 def _figures(result: Result) -> str:
@@ -254,7 +258,7 @@ def _flat(values: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, str
 
 
 def _glossary(result: Result) -> str:
-    held = {name: RECORDS[name] for name in records_of(result.curve)}
+    held = quantities_of(result.curve)
     rows = [[name, f"[{each.unit.replace('1', '-')}]", each.long_name] for name, each in held.items()]
     return _table(["in curve.nc and curve.csv", "unit", "meaning"], rows)
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from axijax.core.files import printable, write_whole
-from axijax.triaxial.records import RECORDS, Curve, records_of
+from axijax.triaxial.records import QUANTITIES, Curve, quantities_of
 from axijax.triaxial.test import TriaxialTest, curve_of
 
 if TYPE_CHECKING:
@@ -48,13 +48,14 @@ def curves_dataset(curves: Mapping[str, Curve], labels: Mapping[str, Sequence], 
 
     longest = max(np.size(curve.axial_strain) for curve in curves.values())
     data: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
-    for name in dict.fromkeys(each for curve in curves.values() for each in records_of(curve)):
+    for name in dict.fromkeys(each for curve in curves.values() for each in quantities_of(curve)):
         table = np.full((len(curves), longest), np.nan)
         for row, curve in zip(table, curves.values(), strict=True):
             values = getattr(curve, name)
             if values is not None:  # one of several curves may have what the others have not
                 row[: np.size(values)] = values
-        data[name] = (("run", "record"), table, {"long_name": RECORDS[name].long_name, "units": RECORDS[name].unit})
+        about = {"long_name": QUANTITIES[name].long_name, "units": QUANTITIES[name].unit}
+        data[name] = (("run", "record"), table, about)
     for name, long_name in CONFINEMENT.items():
         ends = [getattr(curve.confinement, name.removeprefix("confinement_")) for curve in curves.values()]
         data[name] = (("run",), np.asarray(ends), {"long_name": long_name, "units": "1"})
@@ -74,8 +75,8 @@ def save_run(folder: Path, name: str, case: str, curve: Curve) -> list[Path]:
     attributes = {"title": name, "case": case, "axijax": version("axijax"), "jax": jax.__version__}
     paths = [folder / f"curve.{kind}" for kind in ("nc", "csv")]
     save_dataset(curves_dataset({name: curve}, {}, attributes), paths[0])
-    columns = records_of(curve)
-    heads = [f"{column} [{RECORDS[column].unit.replace('1', '-')}]" for column in columns]
+    columns = quantities_of(curve)
+    heads = [f"{column} [{about.unit.replace('1', '-')}]" for column, about in columns.items()]
     rows = zip(*(np.asarray(getattr(curve, column)).tolist() for column in columns), strict=True)
     comment = f"axijax {attributes['axijax']}, {name}: compression positive; curve.nc holds the same with the case"
     save_table(paths[1], heads, [dict(zip(heads, row, strict=True)) for row in rows], comment)
@@ -273,12 +274,16 @@ def _read_curves(path: Path) -> list[tuple[str, "xarray.Dataset"]]:
     import xarray
 
     runs: list[tuple[str, xarray.Dataset]] = []
+    lacking = ""
     try:
         with xarray.open_dataset(path, engine="scipy") as file:
             curves = file.load()
         names = [str(name) for name in curves["run"].values]
-        known = all(curves[name].dims == ("run", "record") for name in records_of(curves))
-        numbers = [*records_of(curves), *(name for name in CONFINEMENT if name in curves)]
+        held = quantities_of(curves)
+        missing = next((name for name in held if name not in curves), None)
+        lacking = f", or of another version (it lacks {missing})" if missing else ""
+        known = all(curves[name].dims == ("run", "record") for name in held)
+        numbers = [*held, *(name for name in CONFINEMENT if name in curves)]
         known = known and all(curves[name].dtype.kind in "fi" for name in numbers)
         for number, name in enumerate(names if known else ()):
             run = curves.isel(run=number, drop=True)
@@ -286,5 +291,7 @@ def _read_curves(path: Path) -> list[tuple[str, "xarray.Dataset"]]:
     except Exception:  # the readers of SciPy and xarray raise whatever a damaged file leads them to
         known = False
     if not known or not runs or not all(run.sizes["record"] for _, run in runs):
-        raise ValueError(f"result '{path}' is damaged or no file of curves of axijax (NetCDF): run the case again.")
+        raise ValueError(
+            f"result '{path}' is damaged or no file of curves of axijax (NetCDF){lacking}: run the case again."
+        )
     return runs

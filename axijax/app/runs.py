@@ -31,7 +31,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from axijax.app import results
-from axijax.app.case import GIVEN, Case, load_case, to_toml
+from axijax.app.case import GIVEN, Case, load_case
+from axijax.app.case_writing import to_toml
 from axijax.app.overwrite import CURVES, clear, refuse_to_lose
 from axijax.app.results import curves_dataset, save_dataset, save_run
 from axijax.app.specimen_file import NAME, load_specimen, save_specimen
@@ -45,7 +46,7 @@ from axijax.triaxial.test import TriaxialTest
 
 if TYPE_CHECKING:
     from axijax.specimen.specimen import Specimen
-    from axijax.triaxial.random_specimen import PackingReport
+    from axijax.triaxial.packing_report import PackingReport
 
 # Called with the test and with where it stands: None before confinement, then once before the first step of the shear
 # and about every 1000 steps of it.
@@ -273,8 +274,19 @@ def packing_values(report: "PackingReport") -> dict[str, Any]:
     columns = ("radius", "per cent passing wanted", "per cent passing reached")
     sieves = dict(zip(columns, np.round(report.sieves, 4).T.tolist(), strict=True))
     fractions = [each._asdict() for each in report.fractions]
-    told = {name: None if value == np.inf else value for name, value in told.items()}
-    return told | {"sieves": sieves, "fractions": fractions, "deviation": report.deviation}
+    told = {name: _finite(value) for name, value in told.items()}
+    return (
+        told
+        | {"sieves": sieves, "fractions": fractions, "deviation": report.deviation}
+        | {"relative_density": report.relative_density}
+    )
+
+
+def _finite(value):
+    """JSON knows neither infinity nor NaN, as of the core of a narrow sector that holds no ball."""
+    if isinstance(value, tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _snapshot_strains(number: int, axial_strain: float, start: float) -> list[float]:

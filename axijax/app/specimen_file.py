@@ -54,4 +54,7 @@ def load_specimen(path: Path, case: Case) -> Specimen:
 
 def _made_from(case: Case) -> str:
     """What a case says of the specimen."""
-    return json.dumps([case.specimen.model_dump(), case.sector.model_dump()])
+    specimen = case.specimen.model_dump()
+    if specimen.get("relative_density") is None:  # older results know no such field
+        specimen.pop("relative_density", None)
+    return json.dumps([specimen, case.sector.model_dump()])

@@ -20,8 +20,8 @@ from axijax.core.sector import Boundary, Sector
 from axijax.mechanics.linear import contact_stiffness
 from axijax.mechanics.params import Params
 from axijax.specimen.specimen import fcc_octagon
+from axijax.triaxial.peak import Peak, find_peak, flat_top
 from axijax.triaxial.progress import Progress, Run
-from axijax.triaxial.records import Peak, find_peak, flat_top
 from axijax.triaxial.test import TriaxialTest
 
 COLUMNS = (

@@ -11,7 +11,7 @@ float32 loses nothing to large coordinates, and any image of a ball may represen
 """
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +38,13 @@ class Grid:
     capacity: int
 
 
+class Room(NamedTuple):
+    """Numbers of contacts and of slots of the tight lists, see `axijax.mechanics.tight_list`; static and hashable."""
+
+    contacts: int
+    width: int
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ContactList:
@@ -58,6 +65,7 @@ class ContactList:
     skin: how much farther than touching the list looks [L].
     status: bits of what went wrong in any update so far; an error sticks.
     grid: with which `axijax.mechanics.contact_search` finds contacts inside jit; None where it never does.
+    tight: room of the tight lists that steps may see in its place; None where nearly all of its contacts touch.
     """
 
     first: jax.Array
@@ -82,6 +90,7 @@ class ContactList:
     status: jax.Array
     sector: Sector = field(metadata={"static": True})
     grid: Grid | None = field(default=None, metadata={"static": True})
+    tight: Room | None = field(default=None, metadata={"static": True})
 
     @property
     def dtype(self):
@@ -209,10 +218,11 @@ def build_contact_list(
     )
 
 
-def closing(network: ContactList, displacement: Vector) -> jax.Array:
+def closing(network: ContactList, displacement: Vector, further: jax.Array | None = None) -> jax.Array:
     """The most by which two balls, images included, can have come closer since the list was built [L].
 
-    No contact is missing while this is below the skin. displacement: (N,) vectors since then [L].
+    No contact is missing while this is below the skin. displacement: (N,) vectors since then [L]; further: (N,) by
+    which each ball may move besides, None for nothing [L].
 
     It is the sum of the two largest displacements; so one ball that flies alone does not wear the list twice. A ball
     that can touch its own image, however, meets one that comes inward as much as itself: from rho0 to rho the distance
@@ -220,11 +230,15 @@ def closing(network: ContactList, displacement: Vector) -> jax.Array:
     Nothing jumps in it, so that a ball that slowly comes near enough to touch its image wears the list on the way.
     """
     moved = displacement.dot(displacement)
+    if further is not None:
+        moved = (jnp.sqrt(moved) + further) ** 2
     farthest = moved.argmax()
     sum_of_two = jnp.sqrt(moved[farthest]) + jnp.sqrt(moved.at[farthest].set(0.0).max())
     if network.sector.images == 1:
         return sum_of_two
     rho = radial_distance(network.positions + displacement)
+    if further is not None:
+        rho = jnp.maximum(rho - further, 0.0)
     inward = jnp.maximum(radial_distance(network.positions) - rho, 0.0)
     return jnp.maximum(sum_of_two, (2 * inward * network.radius / jnp.maximum(rho, network.radius)).max())
 

@@ -207,6 +207,7 @@ class ContactTerm(Term):
     is `ContactForces`."""
 
     stiffens = False
+    acts_apart = False
 
     def init(self, params, network) -> Memory:
         frictional = params.material.frictional

@@ -26,6 +26,7 @@ class Gravity(Term):
     gravity_y: jax.Array | float = quantity(0.0, "acceleration along y", "L/T^2", least=-jnp.inf, coordinate="linear")
 
     stiffens = False
+    acts_apart = False
 
     def check(self, sector):
         if sector.order > 1 and (self.gravity_x != 0 or self.gravity_y != 0):

@@ -8,6 +8,7 @@ class LateralTerm(Term):
     """Forces of `axijax.mechanics.membrane.lateral_force`. The load is held between records."""
 
     stiffens = False
+    acts_apart = False
 
     def __init__(self, load: Load | None):
         self.load = load

@@ -27,6 +27,8 @@ class Observation(NamedTuple):
         membrane's axial forces times their heights are taken off F H.
     core_ratio: vertical over mean horizontal Love-Weber stress of the balls within rho < Rm/2 and the middle 60 %
         of the height [-].
+    lateral_stress: s3 at this moment, which is also that of the stress ratios [F/L^2].
+    bottom_force, top_force: axial forces that the whole cylinder puts on the platens, compression positive [F].
     height, membrane_radius: distance of the platens and radius Rm [L].
     volume: of the full cylinder, see `axijax.mechanics.volume` [L^3].
     void_ratio: voids over solids of a random specimen, counted below the skin [-]; NaN for a lattice, where nothing is
@@ -37,7 +39,6 @@ class Observation(NamedTuple):
     chatter: how far contacts move to and fro from one step to the next, see `chatter` [-].
 
     Of a test in stages only, see `axijax.mechanics.state.Loading`:
-    lateral_stress: s3 at this moment, which is also that of the stress ratios [F/L^2].
     pore_pressure [F/L^2], path_length, servo_error [-]; stage: its number, from 1.
     Only where platens have friction, of the whole cylinder, whose horizontal forces cancel between periodic planes:
     end_restraint: what they hold the specimen's ends together with, the friction towards the axis summed over the balls
@@ -49,6 +50,9 @@ class Observation(NamedTuple):
     stress_ratio: jax.Array
     virial_ratio: jax.Array
     core_ratio: jax.Array
+    lateral_stress: jax.Array
+    bottom_force: jax.Array
+    top_force: jax.Array
     height: jax.Array
     membrane_radius: jax.Array
     volume: jax.Array
@@ -57,7 +61,6 @@ class Observation(NamedTuple):
     unbalanced_force: jax.Array
     sliding_fraction: jax.Array
     chatter: jax.Array
-    lateral_stress: jax.Array | None = None
     pore_pressure: jax.Array | None = None
     path_length: jax.Array | None = None
     servo_error: jax.Array | None = None
@@ -79,7 +82,8 @@ def observe(
     place = positions(network, state)
     height = state.platens[1] - state.platens[0]
     stress, loading = state.lateral_stress(params), state.loading
-    platen_force = straightened(stress, load, forces.platen_forces(network)).mean()
+    platen_forces = forces.platen_forces(network)
+    platen_force = straightened(stress, load, platen_forces).mean()
     lateral = lateral_force(stress, load, place)
     radius = membrane_radius(membrane, place)
     solids = solid_volume(network.radius, network.weight, network.sector)
@@ -104,8 +108,11 @@ def observe(
         sliding = (at_coulomb_limit(params, network, force, normal) * touching).sum() / some
     return Observation(
         stress_ratio=platen_force / load.section / stress,
-        virial_ratio=virial_ratio(forces.platen_forces(network).mean(), lateral, load, place, state.platens),
+        virial_ratio=virial_ratio(platen_forces.mean(), lateral, load, place, state.platens),
         core_ratio=core_stress_ratio(network, forces, normal, place, radius, state.platens),
+        lateral_stress=jnp.asarray(stress, platen_force.dtype),
+        bottom_force=platen_forces[0] * network.sector.order,
+        top_force=platen_forces[1] * network.sector.order,
         height=height,
         membrane_radius=radius,
         volume=volume,
@@ -122,7 +129,6 @@ def observe(
 def of_loading(loading: Loading, dtype) -> dict[str, jax.Array]:
     """What of a path's memory is recorded, by the fields of `Observation`."""
     return {
-        "lateral_stress": loading.lateral_stress,
         "pore_pressure": loading.pore_pressure,
         "path_length": loading.path_length,
         "servo_error": loading.error,

@@ -10,11 +10,12 @@ import numpy as np
 
 from axijax.core.sector import Sector
 from axijax.core.vector import zeros
-from axijax.mechanics.contact_list import ContactList, build_contact_list, carry_memory
+from axijax.mechanics.contact_list import ContactList, Room, build_contact_list, carry_memory
 from axijax.mechanics.dynamics import positions
 from axijax.mechanics.membrane import Membrane, build_membrane
 from axijax.mechanics.outer_balls import zone_found_again
 from axijax.mechanics.state import State
+from axijax.mechanics.tight_list import room_for
 from axijax.specimen.specimen import Specimen
 
 
@@ -33,7 +34,7 @@ def rebuild_on_host(cut: Specimen, lists: tuple[ContactList, Membrane], state: S
     around = _membrane_in(membrane.corner.shape[1], membrane.zone.size, now, sector, dtype)
     around = replace(around, surface=membrane.surface)
     still = zeros(network.radius.shape, network.dtype)
-    new = replace(new, grid=network.grid)
+    new = replace(new, grid=network.grid, tight=_tight_room(new, network.tight))
     return (new, around), state._replace(displacement=still, memory=carry_memory(network, new, state.memory))
 
 
@@ -55,10 +56,18 @@ def roomy_lists(
     """
     count = len(specimen)
     outer = int(5 * (count * sector.order) ** (2 / 3) / sector.order) + 8
-    return (
-        _list_in(18, 64 * -(-count // 10), specimen, sector, None, largest_overlap, dtype),
-        _membrane_in(3 * outer + 80, outer, specimen, sector, dtype),
-    )
+    network = _list_in(18, 64 * -(-count // 10), specimen, sector, None, largest_overlap, dtype)
+    if specimen.zone_rule == "exposure":
+        network = replace(network, tight=_tight_room(network, Room(32 * -(-count // 10), 12)))
+    return network, _membrane_in(3 * outer + 80, outer, specimen, sector, dtype)
+
+
+def _tight_room(network: ContactList, room: Room | None) -> Room | None:
+    """Room for tight lists: what there is where it suffices, or else with some to spare; None where there is none."""
+    if room is None:
+        return None
+    needed = room_for(network)
+    return room if needed.contacts <= room.contacts and needed.width <= room.width else needed
 
 
 def _list_in(

@@ -38,6 +38,7 @@ class RotationResistance(Term):
         raise NotImplementedError
 
     stiffens = False  # what it adds is in `axijax.mechanics.time_step`
+    acts_apart = False
 
     def init(self, params, network):
         return Memory(contact=zeros(network.first.shape, network.dtype))

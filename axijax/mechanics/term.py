@@ -78,6 +78,9 @@ class Term:
     # found from the linearised forces (`axijax.mechanics.linearised`). Springs in its memory are seen there if `forces`
     # lets them grow by this step's motion before it takes their force, as contacts do.
     stiffens = True
+    # Whether it acts between balls that are listed as a possible contact and do not touch, or keeps memory for them. If
+    # so steps see the whole contact list, which takes twice as long in a random packing (`mechanics.tight_list`).
+    acts_apart = True
 
     def check(self, sector: "Sector") -> None:
         """Raise ValueError where it makes no sense in a sector."""

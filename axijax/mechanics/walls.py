@@ -130,6 +130,7 @@ class WallTerm(Term):
     of its push is `WallForces`."""
 
     stiffens = False
+    acts_apart = False
 
     def planes(self, params, network: ContactList, state, displacement=None, platens=None) -> tuple[Plane, ...]:
         """The planes at a state, or with balls and platens somewhere else."""

@@ -21,6 +21,7 @@ from axijax.mechanics.observe import Observation, observe
 from axijax.mechanics.params import Params
 from axijax.mechanics.state import State
 from axijax.triaxial.paths import Path
+from axijax.triaxial.tight_steps import can_be_tight, fixed_steps, observed, steps_until_worn, tight_list
 
 STALE = 1e-2  # largest share of the strip's area that may be counted to the wrong cell
 WORN, WORN_CELLS = 0.6, 0.05  # shares of the skin, and of STALE, at which the lists need a rebuild
@@ -93,15 +94,17 @@ def _block(scene: Scene, path: Path, record_every: int, lists: Lists, dt, params
     """A scan's body: observes a state, and takes it `record_every` steps further."""
     network, membrane = lists
     step, observe_and_check = _stepping(scene, path, lists, dt, params, start)
+    tightly = can_be_tight(network, params)
 
     def block(state, _):
         load = current_load(membrane, network, state, fixed)
-        seen, status = observe_and_check(state, load)
+        tight = tight_list(network, state, dt, record_every) if tightly else None
+        seen, status = observed(partial(observe_and_check, load), network, tight, state)
         watched = path.watch(seen, state)
 
         def further(state):
             state = state._replace(loading=path.recorded(seen, state))
-            return jax.lax.scan(lambda s, _: (step(load, s), None), state, None, length=record_every)[0]
+            return fixed_steps(partial(step, load), network, dt, tight, state, record_every)
 
         if type(path).going is Path.going:
             return further(state), (seen, status, watched)
@@ -161,9 +164,10 @@ def march_until(
     """
     network, membrane = lists
     step, observe_and_check = _stepping(scene, path, lists, dt, params, state)
+    tightly = can_be_tight(network, params)
 
     def going(carry):
-        now, _ = carry
+        now, *_ = carry
         on = path.going(now.watched, now.steps) | (now.due == 0)
         if records is not None:
             on &= (now.records < limit) | (past_last & (now.due > 0))
@@ -173,14 +177,23 @@ def march_until(
         return now.steps == steps
 
     def further(carry):
-        now, load = carry
-        if until_worn:
-            state, taken = until_balls_moved(lambda s: step(load, s), network, dt, now.due, now.state, every_step)
+        now, load, tight = carry
+        state, taken = now.state, now.due
+
+        def with_all(state, most):
+            return until_balls_moved(lambda s: step(load, network, s), network, dt, most, state, every_step)
+
+        if tightly:
+            worn = partial(_list_wear, network) if until_worn else lambda state: jnp.zeros(())
+            state, taken, tight = steps_until_worn(
+                partial(step, load), network, dt, tight, state, now.due, record_every, STRIDE, worn, with_all
+            )
+        elif until_worn:
+            state, taken = with_all(state, now.due)
         else:
-            state = jax.lax.fori_loop(0, now.due, lambda _, s: step(load, s), now.state)
-            taken = now.due
+            state = jax.lax.fori_loop(0, now.due, lambda _, s: step(load, network, s), state)
         load = current_load(membrane, network, state, fixed)
-        found, status = observe_and_check(state, load)
+        found, status = observed(partial(observe_and_check, load), network, tight, state)
         due = now.due - taken
         recorded = due == 0
         seen = now.seen
@@ -189,9 +202,7 @@ def march_until(
             place = jnp.where(recorded, now.records, records)  # beyond the end: not written
             seen = jax.tree.map(lambda values, value: values.at[place].set(value, mode="drop"), seen, found)
         steps = now.steps + taken
-        watched = jax.tree.map(
-            lambda old, new: jnp.where(due == 0, new, old), now.watched, path.watch(found, state)
-        )
+        watched = jax.tree.map(lambda old, new: jnp.where(due == 0, new, old), now.watched, path.watch(found, state))
         if state.loading is not None:
             on = (due == 0) & path.going(watched, steps)
             loading = jax.tree.map(partial(jnp.where, on), path.recorded(found, state), state.loading)
@@ -205,10 +216,11 @@ def march_until(
             watched=watched,
             status=now.status | status,
             worn=wear(network, state, load) > 1,
-        ), load
+        ), load, tight
 
     load = current_load(membrane, network, state, fixed)
-    shape, _ = jax.eval_shape(observe_and_check, state, load)
+    tight = tight_list(network, state, dt, record_every) if tightly else None
+    shape, _ = jax.eval_shape(observe_and_check, load, network, state)
     empty = None
     if records is not None:
         empty = jax.tree.map(lambda value: jnp.zeros((records, *value.shape), value.dtype), shape)
@@ -218,19 +230,20 @@ def march_until(
         state, empty, nothing, jnp.asarray(due, jnp.int32), jnp.asarray(steps, jnp.int32),
         path.watch(unseen, state), nothing, wear(network, state, load) > 1,
     )  # fmt: skip
-    return jax.lax.while_loop(going, further, (begun, load))[0]
+    return jax.lax.while_loop(going, further, (begun, load, tight))[0]
 
 
 def _stepping(scene: Scene, path: Path, lists: Lists, dt, params: Params, start: State):
-    """A step of the stage, (load, state) -> state; and what is observed of a state and its load, with status bits."""
+    """A step of the stage, (load, network, state) -> state; and what is observed of a state and its load, with status
+    bits. `network` is the contact list, or a tight one filtered from it."""
     network, membrane = lists
     scene, params = path.scene(scene), path.params(params, network, membrane, start.platens)
     one = make_step(scene, path.platen_speeds, None if start.loading is None else path.loading)
 
-    def step(load: Load, state: State) -> State:
+    def step(load: Load, network: ContactList, state: State) -> State:
         return one(params, network, load, dt, state)
 
-    def observe_and_check(state: State, load: Load):
+    def observe_and_check(load: Load, network: ContactList, state: State):
         return observe(scene, params, network, membrane, load, dt, state), status_bits(network, membrane, state, load)
 
     return step, observe_and_check

@@ -1,14 +1,17 @@
 """Random specimens: balls of a grading placed at random in a sector, grown, compacted, and turned into a full cylinder.
 
-1. Radii by quantiles of the grading, so that the grading is met as well as so many balls can; the seed shuffles them.
-2. Centres at random in the sector; small balls grow to their size while overlaps, images included, are pushed apart.
-3. Compaction by membrane and platens at the confining stress, with a friction that decides how dense the packing
+1. Radii by quantiles of the grading, so that the grading is met as well as so many balls can.
+2. Centres and sizes from a Halton sequence, scrambled by the seed, so that every part of the sector gets its share of
+   balls and of sizes; small balls grow to their size while overlaps, images included, are pushed apart.
+3. Contraction of the cloud as a whole until balls and platens bear on one another, see `axijax.triaxial.compaction`.
+4. Compaction by membrane and platens at the confining stress, with a friction that decides how dense the packing
    becomes: 0.05 gives a dense one, 0.5 nearly the loosest.
 
-Everything is made on the host but the compaction, which is the triaxial test's own confinement.
+The last is the triaxial test's own confinement.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -18,87 +21,32 @@ from axijax import theory
 from axijax.core.platform import require_64_bits
 from axijax.core.sector import Sector, plane_normals
 from axijax.core.vector import from_rows
-from axijax.mechanics.dynamics import Scene, positions
+from axijax.mechanics.contacts import geometry
+from axijax.mechanics.dynamics import Scene, all_forces, positions
+from axijax.mechanics.hertz import Hertz
 from axijax.mechanics.linear import Linear
-from axijax.mechanics.membrane import build_membrane, membrane_radius
+from axijax.mechanics.membrane import Load, build_membrane, membrane_radius
 from axijax.mechanics.outer_balls import outer_balls
 from axijax.mechanics.params import Params, check_params
 from axijax.mechanics.rebuild import roomy_lists
 from axijax.mechanics.time_step import DEFAULT_STEP
+from axijax.mechanics.volume import void_ratio as below_skin
 from axijax.specimen.fabric import contact_statistics, inside_balls, measured, pairs_within, sample_points
-from axijax.specimen.grading import Fraction, Grading, linear
+from axijax.specimen.grading import Grading, linear
 from axijax.specimen.specimen import Specimen, check_positive
+from axijax.triaxial.compaction import Contraction
+from axijax.triaxial.density import SEEDS, bounds, library, sought
 from axijax.triaxial.feasible import check_feasible
+from axijax.triaxial.packing_report import PackingReport
 from axijax.triaxial.paths import Isotropic
 from axijax.triaxial.stages import settle
+from axijax.triaxial.uniformity import core_stress, trends
 
 BEYOND = 1.5  # mean radii by which the balls reach beyond Rm, once compacted
 LIGHTEST = 0.75  # radius of the ball that is as heavy as the lightest in compaction, over that of the mean volume
-DENSEST, LOOSEST = 0.02, 0.5  # compaction frictions between which a void ratio is sought
-
-
-@dataclass(frozen=True)
-class PackingReport:
-    """What a generated specimen has become; `print(report)` says it in words.
-
-    balls: in the full cylinder. grading: what was asked for. radii: (N,) of the sector's balls, rising [L].
-    sieves: (S, 3) radius [L], per cent passing by mass wanted and reached.
-    fractions: what each fraction of the grading was to have, and got; empty where it has none.
-    warnings: sentences.
-    membrane_radius: Rm, through the middle of the membrane zone; height: between the platens [L].
-    void_ratio: volume not in balls over volume in balls, in the cylinder of radius Rm between the platens (volume
-        pi Rm^2 H; of a ball that it cuts, the part inside) [-].
-    core_void_ratio: the same within Rm/2 and the middle 60 % of the height [-].
-    coordination_number, mechanical_coordination_number, rattler_fraction, anisotropy: see `fabric.Contacts` [-].
-    compaction_friction: with which it was compacted [-].
-    unbalanced_force, stress_error: how well it is balanced, as at the end of a confinement [-].
-    steps: of the compaction. seed: of the random numbers.
-    """
-
-    balls: int
-    order: int
-    grading: str
-    radii: np.ndarray
-    sieves: np.ndarray
-    fractions: list[Fraction]
-    warnings: list[str]
-    membrane_radius: float
-    height: float
-    void_ratio: float
-    core_void_ratio: float
-    coordination_number: float
-    mechanical_coordination_number: float
-    rattler_fraction: float
-    anisotropy: float
-    compaction_friction: float
-    unbalanced_force: float
-    stress_error: float
-    steps: int
-    seed: int
-
-    @property
-    def deviation(self) -> float | None:
-        """By how much of the whole mass the worst fraction misses what was asked for; None without fractions [-]."""
-        return max((abs(each.got - each.wanted) for each in self.fractions), default=None)
-
-    def __str__(self) -> str:
-        sieves = "  ".join(f"{radius:.4g}: {wanted:.0f}/{got:.1f}" for radius, wanted, got in self.sieves)
-        return "\n".join(
-            [
-                f"random specimen, seed {self.seed}: {self.balls} balls, {self.radii.size} in a sector of order "
-                f"{self.order}",
-                f"  grading          {self.grading}; radius: % passing by mass, wanted/reached  {sieves}",
-                f"  size             Rm {self.membrane_radius:.4g}, H {self.height:.4g}, H/D "
-                f"{self.height / 2 / self.membrane_radius:.3f}",
-                f"  void ratio       {self.void_ratio:.4f} in pi Rm^2 H, {self.core_void_ratio:.4f} in the inner core",
-                f"  coordination     {self.coordination_number:.3f}, mechanical "
-                f"{self.mechanical_coordination_number:.3f}, rattlers {100 * self.rattler_fraction:.1f} %",
-                f"  fabric           vertical minus horizontal {self.anisotropy:+.4f}",
-                f"  compaction       friction {self.compaction_friction:.4g}, {self.steps} steps, unbalanced force "
-                f"{self.unbalanced_force:.1e}, stress error {self.stress_error:.1e}",
-                *(f"  warning          {text}" for text in self.warnings),
-            ]
-        )
+STIFFEST = 3e-4  # softness s3 r/kn down to which compaction takes the stiffness of Hertzian balls
+# Radius of the core that no ball can reach, over the cloud's, above which it cannot contract alike in all directions.
+HOLLOW = 0.25
 
 
 def random_cylinder(
@@ -108,6 +56,7 @@ def random_cylinder(
     aspect_ratio: float = 2.0,
     compaction_friction: float = 0.05,
     void_ratio: float | None = None,
+    relative_density: float | None = None,
     void_ratio_tolerance: float = 0.005,
     seed: int = 0,
     params: Params | None = None,
@@ -124,11 +73,14 @@ def random_cylinder(
     aspect_ratio: height over 2 Rm, met to some 10 % [-].
     compaction_friction: between balls during compaction: 0.05 dense, 0.5 loose [-]. With none at all a packing is a
         little denser, but cannot bear the least difference between membrane and platens, and may never settle.
-    void_ratio: sought instead, by adjusting the compaction friction, to within void_ratio_tolerance [-].
+    void_ratio: sought instead, by adjusting the compaction friction, to within void_ratio_tolerance; the one below the
+        skin, `PackingReport.counted_void_ratio` [-].
+    relative_density: sought instead, 0 to 1 between the loosest and the densest packing of this grading, at this size
+        and confining stress, of seed 0; these are found once and kept, see `axijax.triaxial.density` [-].
     seed: of the random numbers; the same seed gives the same specimen to the last bit.
     params: stiffnesses, confining stress and density; None takes the defaults. Compaction has linear springs whatever
-        the law of the test, whose own confinement settles a Hertzian specimen: with the stiffness of glass compaction
-        would take twenty times as many steps.
+        the law of the test: for Hertzian balls springs that these press in as deeply at the confining stress, or as
+        stiff as softness STIFFEST says, since with those of glass compaction would take twenty times as many steps.
     tolerance: unbalanced force and stress error at which compaction ends [-]. most_steps: allowed for it.
 
     Raises ValueError for arguments that make no sense or are not supported (a fraction of the grading that gets no
@@ -154,25 +106,36 @@ def random_cylinder(
     if void_ratio is not None:
         check_positive("void_ratio", void_ratio)
     check_params(params, balls // sector.order)
-    if not hasattr(params, "normal_stiffness"):
-        params = replace(params, material=Linear(density=params.density))
+    if void_ratio is not None and relative_density is not None:
+        raise ValueError(
+            f"void_ratio = {void_ratio:g} and relative_density = {relative_density:g}: give one of them only."
+        )
+    if relative_density is not None and not 0 <= relative_density <= 1:
+        raise ValueError(f"relative_density = {relative_density!r}: must lie between 0 (loosest) and 1 (densest) [-].")
     radii = grading.sample(balls // sector.order)
+    if not hasattr(params, "normal_stiffness"):
+        params = replace(params, material=_springs(params, radii))
     told = check_feasible(grading, radii, params, balls)
 
-    def compacted(friction: float) -> tuple[Specimen, PackingReport]:
+    def compacted(friction: float, seed: int = seed) -> tuple[Specimen, PackingReport]:
         rng = np.random.default_rng(seed)
-        radius = rng.permutation(radii)
         # Near to what compaction will reach, so that it hardly changes the shape.
-        loose = _grown(radius, sector, aspect_ratio, 0.6 - 0.1 * friction / (friction + 0.15), rng)
+        loose = _grown(radii, sector, aspect_ratio, 0.6 - 0.1 * friction / (friction + 0.15), rng)
         path = Isotropic(float(friction) or None, tolerance, most_steps)
         cut, report = _compacted(loose, sector, params, path)
-        known = {"fractions": grading.fractions(radii), "warnings": told, "sieves": _sieves(grading, radius)}
+        known = {"fractions": grading.fractions(radii), "warnings": told, "sieves": _sieves(grading, radii)}
         return cut, replace(report, grading=grading.name, seed=seed, **known)
 
-    if void_ratio is None:
-        cut, report = compacted(compaction_friction)
+    if relative_density is not None:
+        made_from = [balls, sector, list(grading.radii), list(grading.share), aspect_ratio, params, tolerance]
+        known = bounds(partial(compacted, seed=0), made_from, library())
+        wanted, said = known.void_ratio(relative_density), f"relative_density = {relative_density:g}"
+        cut, report = sought(compacted, wanted, void_ratio_tolerance, f"{said}, void ratio {wanted:.4f}", SEEDS)
+        report = replace(report, bounds=known)
+    elif void_ratio is not None:
+        cut, report = sought(compacted, void_ratio, void_ratio_tolerance, f"void_ratio = {void_ratio:g}")
     else:
-        cut, report = _sought(compacted, void_ratio, void_ratio_tolerance)
+        cut, report = compacted(compaction_friction)
     return _whole_cylinder(cut, sector), report
 
 
@@ -183,33 +146,9 @@ def platen_speed(inertial_number: float, specimen: Specimen, params: Params) -> 
     return float(inertial_number / of_unit_rate * specimen.height / 2)
 
 
-def _sought(compacted, void_ratio: float, tolerance: float):
-    """A packing of this void ratio: regula falsi in the compaction friction, which the void ratio rises with."""
-    low, high = DENSEST, LOOSEST
-    ends = compacted(low), compacted(high)
-    below, above = (report.void_ratio for _, report in ends)
-    if not below - tolerance <= void_ratio <= above + tolerance:
-        raise ValueError(
-            f"void_ratio = {void_ratio:g}: this grading, size and seed reach {below:.4f} (compaction friction {low:g}) "
-            f"to {above:.4f} ({high:g}); ask for one between."
-        )
-    best = min(ends, key=lambda end: abs(end[1].void_ratio - void_ratio))
-    for trial in range(10):
-        if abs(best[1].void_ratio - void_ratio) <= tolerance:
-            return best
-        # The rise is steep at small frictions: every second trial halves the interval.
-        weight = 0.5 if trial % 2 else np.clip((void_ratio - below) / max(above - below, 1e-12), 0.1, 0.9)
-        friction = low + weight * (high - low)
-        now = compacted(friction)
-        if now[1].void_ratio < void_ratio:
-            low, below = friction, now[1].void_ratio
-        else:
-            high, above = friction, now[1].void_ratio
-        best = min((best, now), key=lambda end: abs(end[1].void_ratio - void_ratio))
-    raise ValueError(
-        f"void_ratio = {void_ratio:g}: the nearest that was reached in 12 compactions is {best[1].void_ratio:.4f}; "
-        f"allow a void_ratio_tolerance above {abs(best[1].void_ratio - void_ratio):.4f}, or take another seed."
-    )
+def _hollow(mean: float, sector: Sector) -> float:
+    """Radius of the core that no ball between close planes can reach [L]; mean: of the balls' radii."""
+    return 0.8 * max(mean / np.sin(np.pi / sector.order) - mean, 0.0) if sector.order > 2 else 0.0
 
 
 def _container(radius: np.ndarray, sector: Sector, aspect_ratio: float, solid_fraction: float):
@@ -218,7 +157,7 @@ def _container(radius: np.ndarray, sector: Sector, aspect_ratio: float, solid_fr
     Counted without the looser layer along walls, and the core that no ball between close planes can reach.
     """
     solid, mean = sector.order * (4 / 3) * np.pi * (radius**3).sum(), radius.mean()
-    core = 0.8 * max(mean / np.sin(np.pi / sector.order) - mean, 0.0) if sector.order > 2 else 0.0
+    core = _hollow(mean, sector)
     side = 1.5 * (solid / (2 * np.pi * aspect_ratio * solid_fraction)) ** (1 / 3) + core + 2 * mean
     for _ in range(100):
         height = 2 * aspect_ratio * (side - BEYOND * mean)
@@ -232,9 +171,13 @@ def _grown(radius: np.ndarray, sector: Sector, aspect_ratio: float, solid_fracti
 
     Centres at random, radii growing from nothing; overlaps are pushed apart, half by either ball.
     """
+    from scipy.stats import qmc  # takes long to import
+
     side, height = _container(radius, sector, aspect_ratio, solid_fraction)
     count = radius.size
-    u = rng.random((3, count))
+    # Independent numbers would leave regions of balls that are few, or small, and pushing apart does not reach far.
+    *u, size = qmc.Halton(4, rng=rng).random(count).T
+    radius = np.sort(radius)[size.argsort().argsort()]
     rho, theta = side * np.sqrt(u[0]), sector.angle * u[1]
     place = np.stack([rho * np.cos(theta), rho * np.sin(theta), height * u[2]])
 
@@ -278,7 +221,13 @@ def _compacted(loose: Specimen, sector: Sector, params: Params, path: Isotropic)
     mass = float(params.density) * (4 / 3) * np.pi * least**3
     # The limit of twelve contacts a ball, which no ball of the smallest size exceeds (PHYSICS 3.5).
     dt = float(DEFAULT_STEP * np.sqrt(mass / (10 * max(float(params.normal_stiffness), float(params.shear_stiffness)))))
-    (network, _), state, balance = settle(Scene(), path, loose, lists, dt, params)
+    wide, state, begun = (np.hypot(*loose.positions[:2]) + loose.radius).max(), None, 0
+    if _hollow(loose.radius.mean(), sector) < HOLLOW * wide:
+        together = Contraction(path.friction, path.tolerance, path.most_steps, inertia, wide / loose.height)
+        lists, state, contracted = settle(Scene(), together, loose, lists, dt, params)
+        state, begun = state._replace(memory=state.memory[:-1]), int(contracted.steps)  # the container has no memory
+    (network, membrane), state, balance = settle(Scene(), path, loose, lists, dt, params, start=state)
+    balance = balance._replace(steps=begun + balance.steps)
     if not float(balance.worst) <= path.tolerance:
         raise RuntimeError(
             f"compaction of the random specimen stopped after {int(balance.steps)} steps at an unbalanced force of "
@@ -296,7 +245,13 @@ def _compacted(loose: Specimen, sector: Sector, params: Params, path: Isotropic)
     )
     rm = float(membrane_radius(build_membrane(cut, sector), from_rows(place)))
     middle, height = (top + bottom) / 2, top - bottom
-    contacts = contact_statistics(cut, sector)
+    contacts, whole = contact_statistics(cut, sector), _void_ratio(cut, sector, rm, bottom, top)
+    trend = trends(cut, sector, rm)
+    at_rest = path.params(params, network, membrane, state.platens)
+    forces = all_forces(path.scene(Scene()), at_rest, network, Load(jnp.zeros(len(cut)), jnp.ones(())), dt, state)
+    branch = geometry(network, state.displacement).branch
+    normal = branch * (1 / jnp.sqrt(branch.dot(branch)))
+    stress = core_stress(network, forces.contacts.force, normal, from_rows(place), rm, state.platens)
     report = PackingReport(
         balls=len(cut) * sector.order,
         order=sector.order,
@@ -307,8 +262,16 @@ def _compacted(loose: Specimen, sector: Sector, params: Params, path: Isotropic)
         warnings=[],
         membrane_radius=rm,
         height=height,
-        void_ratio=_void_ratio(cut, sector, rm, bottom, top),
+        void_ratio=whole,
+        counted_void_ratio=_counted(cut, sector) or whole,
+        bounds=None,
         core_void_ratio=_void_ratio(cut, sector, rm / 2, middle - 0.3 * height, middle + 0.3 * height),
+        core_stress_ratio=stress.ratio,
+        core_contacts=stress.contacts,
+        core_stress_error=stress.error,
+        void_ratio_trend=trend.void_ratio,
+        size_trend=trend.size,
+        size_trend_error=trend.size_error,
         **contacts._asdict(),
         compaction_friction=float(path.friction or 0.0),
         unbalanced_force=float(balance.unbalanced_force),
@@ -337,6 +300,27 @@ def _void_ratio(cut: Specimen, sector: Sector, radius: float, bottom: float, top
     """Infinite where there is no ball, as in the core of a narrow sector of few balls."""
     solid = float(inside_balls(sample_points(sector, radius, bottom, top), cut, sector).mean())
     return (1 - solid) / solid if solid > 0 else np.inf
+
+
+def _counted(cut: Specimen, sector: Sector) -> float | None:
+    """Void ratio below the skin, None where the specimen has no inside."""
+    found = jax.jit(below_skin, static_argnums=3)(
+        from_rows(cut.positions), jnp.asarray(cut.radius), jnp.ones(len(cut)), sector, jnp.array([cut.bottom, cut.top])
+    )
+    return float(found) if found > 0 else None
+
+
+def _springs(params: Params, radii: np.ndarray) -> Linear:
+    """Linear springs for the compaction of balls of another law."""
+    if not isinstance(params.material, Hertz):
+        return Linear(density=params.density)
+    stress, mean = float(params.confining_stress), radii.mean()
+    # Mean force of a contact where each ball has five of them, see `hertz.confined_force`; a Hertzian contact is 2/3 as
+    # stiff over all of its overlap as at the end of it.
+    tangent = params.material.tangent_stiffness(mean / 2, 4.1 * stress * mean**2)
+    normal, shear = ((2 / 3) * float(k) for k in tangent)
+    less = min(1.0, stress * mean / STIFFEST / normal)
+    return Linear(density=params.density, normal_stiffness=less * normal, shear_stiffness=less * shear)
 
 
 def _sieves(grading: Grading, radius: np.ndarray) -> np.ndarray:

@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from axijax import theory
+from axijax.core.smoothing import Smooth, advancing
 from axijax.core.status import UNSTABLE, described
 from axijax.mechanics.observe import Observation
 from axijax.mechanics.params import Params
@@ -48,6 +50,24 @@ class Recorded(NamedTuple):
 STAGES, ROUGH = "stages", "rough platens"
 
 
+class Derived(property):
+    """A property of `Curve` that follows from its records: (T,) values that are neither observed nor kept in memory,
+    but written, reported and drawn as records are."""
+
+    record: Recorded
+
+
+def derived(long_name: str, unit: str = "1") -> Any:
+    """Makes a function of a curve such a property."""
+
+    def declare(function) -> Derived:
+        made = Derived(function, doc=long_name)
+        made.record = Recorded(long_name, unit)
+        return made
+
+    return declare
+
+
 def recorded(long_name: str, unit: str = "1", of: str = "", **default: Any) -> Any:
     """A field of `Curve` with one value a record. Files, reports and batches read its declaration from here; a quantity
     of the same name in `observe.Observation` is taken over. of: what a test must have for it, "" for nothing."""
@@ -80,7 +100,9 @@ class Curve:
     sliding_fraction: jax.Array = recorded("share of the contacts at the Coulomb limit")
     chatter: jax.Array = recorded("motion of contacts to and fro from step to step, against what their springs hold")
     membrane_radius: jax.Array = recorded("radius Rm through the middle of the membrane zone", "L")
-    lateral_stress: jax.Array | None = recorded("effective lateral stress s3", "F L-2", of=STAGES)
+    lateral_stress: jax.Array = recorded("effective lateral stress s3, compression positive", "F L-2")
+    bottom_force: jax.Array = recorded("axial force on the bottom platen, of the whole cylinder", "F")
+    top_force: jax.Array = recorded("axial force on the top platen, of the whole cylinder", "F")
     pore_pressure: jax.Array | None = recorded("pore pressure, or what would keep the volume", "F L-2", of=STAGES)
     path_length: jax.Array | None = recorded("axial strain travelled, to and fro", of=STAGES)
     servo_error: jax.Array | None = recorded("servo error as a stress, over the confining stress", of=STAGES)
@@ -95,9 +117,39 @@ class Curve:
     confinement: Confinement
     status: jax.Array
 
+    @derived("axial stress s1 = R s3, compression positive", "F L-2")
+    def axial_stress(self):
+        return self.stress_ratio * self.lateral_stress
+
+    @derived("mean stress p = (s1 + 2 s3)/3", "F L-2")
+    def mean_stress(self):
+        return theory.mean_stress(self.axial_stress, self.lateral_stress)
+
+    @derived("deviatoric stress q = s1 - s3", "F L-2")
+    def deviatoric_stress(self):
+        return theory.deviatoric_stress(self.axial_stress, self.lateral_stress)
+
+    @derived("mobilised friction angle, sin(phi) = (R - 1)/(R + 1)", "degree")
+    def friction_angle(self):
+        return jnp.rad2deg(theory.friction_angle(self.stress_ratio))
+
+    @derived(
+        "dilatancy rate d = -d(volumetric strain)/d(axial strain), expansion positive; slope of a local quadratic over "
+        "0.6 to 1.4 of the axial strain; none while the axial strain goes back"
+    )
+    def dilatancy_rate(self):
+        return dilatancy_rates(self.axial_strain, self.volumetric_strain)
+
+    @derived("dilatancy angle, sin(psi) = d/(2 + d) (Vermeer & de Borst 1984, with total strain)", "degree")
+    def dilatancy_angle(self):
+        return jnp.rad2deg(theory.dilatancy_angle(self.dilatancy_rate))
+
 
 # The fields of a curve that hold one value a record, and what is said of each where it is written.
 RECORDS: dict[str, Recorded] = {f.name: f.metadata["record"] for f in fields(Curve) if "record" in f.metadata}
+# The same of what is derived from them, and of both.
+DERIVED: dict[str, Recorded] = {n: each.record for n, each in vars(Curve).items() if isinstance(each, Derived)}
+QUANTITIES = RECORDS | DERIVED
 
 
 def records_of(curve: Any) -> dict[str, Recorded]:
@@ -105,94 +157,20 @@ def records_of(curve: Any) -> dict[str, Recorded]:
     return {n: about for n, about in RECORDS.items() if not about.of or getattr(curve, n, None) is not None}
 
 
-class Peak(NamedTuple):
-    """The largest stress ratio of a curve, and whether it is a peak; made by `find_peak`.
-
-    record: its place. axial_strain, stress_ratio: there [-].
-    doubt: why it is no peak, in words; empty where it is one.
-    """
-
-    record: int
-    axial_strain: float
-    stress_ratio: float
-    doubt: str
-
-    @property
-    def reached(self) -> bool:
-        """Whether it is a peak."""
-        return not self.doubt
-
-    @property
-    def short(self) -> str:
-        """The value, and why it is no peak."""
-        if self.reached:
-            return f"peak {self.stress_ratio:.4f}"
-        return f"largest so far {self.stress_ratio:.4f} ({self.doubt})"
-
-    def __str__(self) -> str:
-        name = "peak stress ratio" if self.reached else "largest stress ratio so far"
-        told = f"{name} {self.stress_ratio:.4f} at {100 * self.axial_strain:.3f} % axial strain"
-        return told if self.reached else f"{told}, {self.doubt}"
+def quantities_of(curve: Any) -> dict[str, Recorded]:
+    """The same with what is derived from them."""
+    return records_of(curve) | DERIVED
 
 
-# What follows a maximum decides whether it is a peak: this share of the strain without exceeding it, or a fall by this
-# share of R - 1 that is also this many times the scatter of single records.
-PEAK_STRAIN, PEAK_FALL, PEAK_SCATTER = 0.1, 0.01, 4.0
-
-
-def find_peak(axial_strain, stress_ratio) -> Peak:
-    """The largest stress ratio of a curve, simulated or measured, and whether it is a peak (T values each).
-
-    It is one where the last tenth of the strain lies behind it, or where the curve has fallen from it by more than a
-    hundredth of R - 1 and than it scatters from record to record. The last record never is, nor are the last few of a
-    noisy curve that rises: all that is known then is that a peak, if there is one, is higher.
-    """
-    strain, ratio = np.asarray(axial_strain, float), np.asarray(stress_ratio, float)
-    sound = np.flatnonzero(np.isfinite(strain) & np.isfinite(ratio))  # a run that failed may end in NaN
-    if not sound.size:
-        return Peak(0, float("nan"), float("nan"), "no record is a number")
-    strain, ratio = strain[sound], ratio[sound]
-    top = int(ratio.argmax())
-    after = ratio[top + 1 :]
-    doubt = ""
-    if not after.size:
-        doubt = "at the last record: the curve still rises, no peak"
-    elif top == 0:
-        doubt = "at the first record: the curve never rises above its start, no peak"
-    elif strain[-1] - strain[top] < PEAK_STRAIN * (strain[-1] - strain[0]):
-        # Of values with independent scatter s the second differences have sqrt(6) s, and 1.65 s as median size.
-        scatter = float(np.median(np.abs(np.diff(ratio, 2)))) / 1.65
-        if ratio[top] - after[-3:].mean() < max(PEAK_FALL * (ratio[top] - 1), PEAK_SCATTER * scatter):
-            records = "one record" if after.size == 1 else f"{after.size} records"
-            doubt = f"{records} before the last: the curve has not clearly fallen since, no peak"
-    return Peak(int(sound[top]), float(strain[top]), float(ratio[top]), doubt)
-
-
-FLAT = 0.003  # share of its largest value within which a curve's top counts as flat
-
-
-def flat_top(axial_strain, stress_ratio) -> tuple[float, float]:
-    """Strains between which the stress ratio stays within 0.3 % of its largest value, around that value's (T values
-    each) [-]; linear between records. A side on which the curve ends before it has fallen so far is NaN, so that no end
-    of a curve is taken for the end of its top.
-    """
-    strain, ratio = np.asarray(axial_strain, float), np.asarray(stress_ratio, float)
-    sound = np.isfinite(strain) & np.isfinite(ratio)
-    strain, ratio = strain[sound], ratio[sound]
-    if not ratio.size:
-        return float("nan"), float("nan")
-    top, level = int(ratio.argmax()), (1 - FLAT) * float(ratio.max())
-
-    def crossing(outward: np.ndarray) -> float:
-        """Where the curve, followed away from its top, first falls below the level."""
-        below = np.flatnonzero(ratio[outward] < level)
-        if not below.size:
-            return float("nan")
-        inside, outside = outward[below[0] - 1], outward[below[0]]
-        share = (ratio[inside] - level) / (ratio[inside] - ratio[outside])
-        return float(strain[inside] + share * (strain[outside] - strain[inside]))
-
-    return crossing(np.arange(top, -1, -1)), crossing(np.arange(top, ratio.size))
+def dilatancy_rates(axial_strain, volumetric_strain) -> np.ndarray:
+    """-d(volumetric strain)/d(axial strain), smoothed as `axijax.core.smoothing` does, (T,) on the host; NaN where the
+    axial strain does not lie beyond all before it, and where fewer than three records do."""
+    strain, volume = np.asarray(axial_strain, float), np.asarray(volumetric_strain, float)
+    used = advancing(strain) & np.isfinite(volume)
+    rates = np.full(strain.shape, np.nan)
+    if used.sum() >= 3:
+        rates[used] = -Smooth(strain[used]).slopes(volume[used])
+    return rates
 
 
 def raise_for_status(status, curve: Curve | None = None) -> None:

@@ -9,6 +9,7 @@ from axijax.mechanics.contact_list import closing
 from axijax.mechanics.contact_search import rebuild_in_jit
 from axijax.mechanics.dynamics import Scene, all_forces, initial_state
 from axijax.mechanics.membrane import Load
+from axijax.mechanics.membrane_surface import straightened
 from axijax.mechanics.params import Params
 from axijax.mechanics.rebuild import rebuild_on_host
 from axijax.mechanics.state import Loading, State
@@ -69,13 +70,16 @@ def settle(
     dt,
     params: Params,
     fixed: Load | None = None,
+    start: State | None = None,
 ) -> tuple[Lists, State, Confinement]:
-    """Confinement, from rest, with contact list and membrane rebuilt where they are worn (host loop).
+    """Confinement, from rest or a state of these lists, with the lists rebuilt where they are worn (host loop).
 
     Returns the last lists, the state and its balance, which may be outside the tolerance after path.most_steps. Raises
     RuntimeError where a ball moves too fast for the lists.
     """
-    state, steps = _at_rest(scene, path, lists, params, jnp.asarray([cut.bottom, cut.top])), 0
+    state, steps = start, 0
+    if state is None:
+        state = _at_rest(scene, path, lists, params, jnp.asarray([cut.bottom, cut.top]))
     while True:
         reached = march_until(
             scene, None, CONFINE_EVERY, True, True, path, lists, dt, params, state, fixed, CONFINE_EVERY, steps, True
@@ -127,6 +131,7 @@ def start_stage(scene: Scene, path: Path, lists: Lists, dt, params: Params, stat
     state = state._replace(time=jnp.zeros_like(state.time), loading=loading)
     load = current_load(membrane, network, state, fixed)
     push = all_forces(scene, params, network, load, dt, state).platen_forces(network)
+    push = straightened(state.lateral_stress(params), load, push)
     return state._replace(loading=path.begin(params, network, load, state, push))
 
 

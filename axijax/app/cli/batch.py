@@ -127,10 +127,10 @@ def _lists(path: Path, table) -> dict[tuple[str, str], list]:
 
 
 def _line(outcome) -> str:
-    from axijax.triaxial.records import find_peak
+    from axijax.triaxial.peak import peak_of
 
     name = outcome.member.name
     if outcome.failure is not None:
         return f"{name}: failed, {outcome.failure}"
-    peak = find_peak(outcome.curve.axial_strain, outcome.curve.stress_ratio)
+    peak = peak_of(outcome.curve)
     return f"{name}: {peak.short} " + ("(there already)" if outcome.resumed else f"in {outcome.seconds:.1f} s")

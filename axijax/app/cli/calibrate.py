@@ -11,7 +11,7 @@ from axijax.app.cli.errors import filling
 if TYPE_CHECKING:
     from calibrate import MeasuredCurve
 
-READING, SEARCH = "The data", "The fit"  # headings of the help
+READING, SEARCH, PACKINGS = "The data", "The fit", "On random packings"  # headings of the help
 Many = list[str] | None
 
 
@@ -24,7 +24,9 @@ def calibrate(
     column: Annotated[
         Many,
         typer.Option(
-            metavar="QUANTITY=NAME [UNIT]", rich_help_panel=READING, show_default=False,
+            metavar="QUANTITY=NAME [UNIT]",
+            rich_help_panel=READING,
+            show_default=False,
             help="A column's name, unit, sign, or part of it, where the header does not say: 'axial_displacement=Weg "
             "\\[mm]', 'q=\\[kPa]', 'eps_v=dV/V (dilation positive)'. Several times.",
         ),
@@ -48,7 +50,9 @@ def calibrate(
     uncertainty: Annotated[
         Many,
         typer.Option(
-            metavar="QUANTITY=NUMBER", rich_help_panel=READING, show_default=False,
+            metavar="QUANTITY=NUMBER",
+            rich_help_panel=READING,
+            show_default=False,
             help="Standard uncertainty of stress_ratio or volumetric_strain (a fraction), such as "
             "stress_ratio=0.05; left out, only the proportion 0.02 to 1e-4 counts.",
         ),
@@ -56,30 +60,61 @@ def calibrate(
     bounds: Annotated[
         Many,
         typer.Option(
-            metavar="NAME=LOW,HIGH", rich_help_panel=SEARCH, show_default=False,
+            metavar="NAME=LOW,HIGH",
+            rich_help_panel=SEARCH,
+            show_default=False,
             help="Limits of a parameter: friction=0.1,1.2 (above 1 for random specimens only). Several times.",
         ),
     ] = None,
     start: Annotated[
         Many,
         typer.Option(
-            metavar="NAME=VALUE", rich_help_panel=SEARCH, show_default="by rule from the data",
+            metavar="NAME=VALUE",
+            rich_help_panel=SEARCH,
+            show_default="by rule from the data",
             help="Where the search begins; 'test' for the case's own values. Several times.",
         ),
     ] = None,
     prior: Annotated[
         Many,
         typer.Option(
-            metavar="NAME=VALUE,SPREAD", rich_help_panel=SEARCH, show_default=False,
+            metavar="NAME=VALUE,SPREAD",
+            rich_help_panel=SEARCH,
+            show_default=False,
             help="What is known before: most likely value and standard deviation of its log (of its logit, for "
             "friction below 1): kn=1e9,0.3. Several times.",
         ),
     ] = None,
     runs: Annotated[
-        int, typer.Option(min=1, rich_help_panel=SEARCH, help="Runs after which to stop, a tangent counted as one.")
-    ] = 60,
+        int | None,
+        typer.Option(
+            min=1, rich_help_panel=SEARCH, show_default="60, on random packings 40",
+            help="Runs after which to stop, a tangent counted as one.",
+        ),
+    ] = None,
+    packings: Annotated[
+        str | None,
+        typer.Option(
+            rich_help_panel=PACKINGS, show_default="1",
+            help="Packings that the data are the mean of, or 'laboratory': how far their curve scatters.",
+        ),
+    ] = None,
+    library: Annotated[
+        Path | None,
+        typer.Option(rich_help_panel=PACKINGS, show_default="the user's", help="Folder where all runs are kept."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, rich_help_panel=PACKINGS, show_default="one a core", help="Runs at a time.")
+    ] = None,
+    executor: Annotated[
+        str | None,
+        typer.Option(rich_help_panel=PACKINGS, show_default=False, help="Where they are made, as of `axijax batch`."),
+    ] = None,
 ) -> None:
-    """Fit friction and stiffness of a triaxial test to a measured curve, by derivatives of the simulation.
+    """Fit friction and stiffness of a triaxial test to a measured curve, or a study of several tests.
+
+    On a lattice by derivatives of the simulation. With a case whose specimen is random, on many packings: with honest
+    intervals, a library of runs that later fits begin with, and a verdict. A study file (TOML) holds several tests.
 
     The data need axial_strain (eps_a), or axial_displacement with --height; and stress_ratio (R), or q/p, or two of
     s1, s3, q = s1 - s3 and p; volumetric_strain (eps_v), or void_ratio (e), is fitted too where it is there. Write
@@ -96,21 +131,38 @@ def calibrate(
 
     given = {
         "bounds": {name: numbers(f"--bounds {name}", text, 2) for name, text in pairs("--bounds", bounds).items()},
-        "priors": {
-            name: Prior(*numbers(f"--prior {name}", text, 2)) for name, text in pairs("--prior", prior).items()
-        },
+        "priors": {name: Prior(*numbers(f"--prior {name}", text, 2)) for name, text in pairs("--prior", prior).items()},
         "start": _start(start),
     }
+    on_packings = {"library": library, "workers": workers, "executor": executor, "runs": runs}
+    if data.suffix == ".toml":
+        from axijax.app.cli.study import fit_study_file
+
+        if not fit_study_file(data, output, **on_packings):
+            raise typer.Exit(1)
+        return
     loaded = Case() if case is None else load_case(case)
     curve = read_measured(
         data, pairs("--column", column), test=test, height=height, void_ratio=void_ratio,
         confining_stress=confining_stress, **_uncertainties(uncertainty),
     )  # fmt: skip
+    if loaded.specimen.kind == "random":
+        from axijax.app.cli.study import fit_file
+
+        if start:
+            raise ValueError("--start: a fit on random packings looks everywhere within --bounds; leave it out.")
+        given.pop("start")
+        if not fit_file(curve, fit, loaded, output, packings, void_ratio, **on_packings, **given):
+            raise typer.Exit(1)
+        return
+    idle = [name for name, value in on_packings.items() if value is not None and name != "runs"]
+    if idle or packings is not None:
+        raise ValueError(f"--{(idle or ['packings'])[0]}: would do nothing on a lattice; leave it out.")
     _before_packing(loaded, curve, fit, given)
     built = loaded.build()
     folder = writable_folder(output)
     with locked(folder), filling(folder, "run it again, and what is in evaluations.jsonl is not computed again"):
-        found = calibrate_file(curve, fit, built, folder, check=check, max_runs=runs, **given)
+        found = calibrate_file(curve, fit, built, folder, check=check, max_runs=60 if runs is None else runs, **given)
     if not found.converged:
         raise typer.Exit(1)
 

@@ -14,6 +14,7 @@ from axijax.app.cli.errors import complain, guarded
 from axijax.app.cli.run import new, resume, run
 from axijax.app.cli.sensitivity import sensitivity
 from axijax.app.cli.show import cite, plot, report, snapshot
+from axijax.app.cli.study import library
 from axijax.app.cli.table1 import table1
 
 app = typer.Typer(
@@ -54,8 +55,10 @@ COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
     calibrate: (
         "axijax calibrate measured.csv --fit friction,kn --case first.toml",
         "axijax calibrate karlsruhe.csv --test TMD18 --bounds friction=0.1,1.2 --uncertainty stress_ratio=0.05",
+        "axijax calibrate study.toml --output sand",
         "axijax calibrate lab.csv --column 'axial_displacement=Weg [mm]' --height '10 cm' --confining-stress '2 bar'",
     ),
+    library: ("axijax library list", "axijax library clean 3f2a"),
     sensitivity: (
         "axijax sensitivity first.toml",
         "axijax sensitivity sand.toml --parameters friction,kn,ks --packings 8 --uncertainty stress_ratio=0.05",

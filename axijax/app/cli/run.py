@@ -13,7 +13,7 @@ import typer
 from axijax.app.cli.errors import INTERRUPTED, complain
 
 if TYPE_CHECKING:
-    from axijax.triaxial.random_specimen import PackingReport
+    from axijax.triaxial.packing_report import PackingReport
     from axijax.triaxial.test import Progress, Run, TriaxialTest
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON object a line on standard output, for programs.")]
@@ -28,7 +28,8 @@ def new(
 
     Change what you like, delete what you do not care for, then `axijax check` and `axijax run` it.
     """
-    from axijax.app.case import default_case, to_toml
+    from axijax.app.case import default_case
+    from axijax.app.case_writing import to_toml
     from axijax.core.files import remove_leftovers, write_whole
 
     text = to_toml(default_case(kind))
@@ -121,6 +122,7 @@ class _Live:
         self.folder = folder
         self.started = time.perf_counter()
         self.marks: list[tuple[float, float, int]] = []  # time, share done, steps
+        self.asked: float | None = None  # axial strain
 
     def __enter__(self) -> "_Live":
         return self
@@ -130,6 +132,7 @@ class _Live:
 
     def tell(self, test: "TriaxialTest", now: "Progress | None") -> None:
         """Take note of where a run stands, and show it."""
+        self.asked = test.axial_strain
         if now is None:
             return self.show("preparing", f"{len(test.cut)} balls, {test.prepared.numerics.most_steps} steps")
         self.marks.append((time.perf_counter(), now.share(test), now.taken))
@@ -167,10 +170,12 @@ class _Live:
 
     def finished(self, run: "Run") -> None:
         """The last word."""
-        from axijax.triaxial.records import find_peak
+        from axijax.triaxial.laboratory import laboratory
 
-        peak = find_peak(run.curve.axial_strain, run.curve.stress_ratio)
-        self.show("finished", f"{peak}; {time.perf_counter() - self.started:.1f} s; result in {self.folder}")
+        found = laboratory(run.curve)
+        for name, value in found.rows(self.asked).items():
+            self.show("summary", f"{name:62} {value}")
+        self.show("finished", f"{found.peak}; {time.perf_counter() - self.started:.1f} s; result in {self.folder}")
 
 
 def _doing(test: "TriaxialTest", now: "Progress") -> str:
@@ -255,17 +260,11 @@ class _JsonLines(_Live):
         )
 
     def finished(self, run: "Run") -> None:
-        from axijax.triaxial.records import find_peak
+        from axijax.triaxial.laboratory import laboratory
 
-        peak = find_peak(run.curve.axial_strain, run.curve.stress_ratio)
-        self.say(
-            event="finished",
-            result=str(self.folder),
-            peak_stress_ratio=peak.stress_ratio,
-            axial_strain_at_peak=peak.axial_strain,
-            peak_reached=peak.reached,
-            **({} if peak.reached else {"warning": str(peak)}),
-        )
+        found = laboratory(run.curve)
+        warning = {} if found.peak.reached else {"warning": str(found.peak)}
+        self.say(event="finished", result=str(self.folder), **found.values(), **warning)
 
     def __exit__(self, kind, error, trace) -> None:
         if error is not None:

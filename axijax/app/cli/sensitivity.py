@@ -11,8 +11,13 @@ from axijax.app.cli.errors import filling
 
 def sensitivity(
     case: Annotated[
-        list[Path], typer.Argument(metavar="CASE...", help="Case files (TOML); with several, the first is the test "
-                                   "that there is, the others are tests that might be made.", show_default=False)
+        list[Path],
+        typer.Argument(
+            metavar="CASE...",
+            help="Case files (TOML); with several, the first is the test "
+            "that there is, the others are tests that might be made.",
+            show_default=False,
+        ),
     ],
     parameters: Annotated[
         str | None, typer.Option(show_default="all", help="Which, with commas: friction,kn,ks..")
@@ -23,7 +28,8 @@ def sensitivity(
     uncertainty: Annotated[
         Many,
         typer.Option(
-            metavar="QUANTITY=NUMBER", show_default="stress_ratio=0.02, volumetric_strain=1e-4",
+            metavar="QUANTITY=NUMBER",
+            show_default="stress_ratio=0.02, volumetric_strain=1e-4",
             help="Of measured data, by which directions are judged. Several times.",
         ),
     ] = None,

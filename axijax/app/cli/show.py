@@ -19,8 +19,9 @@ def plot(
     kind: Annotated[
         list[str] | None,
         typer.Option(
-            help="Picture: curve (all results in one), force-network, fabric-rose, membrane-cells, section, specimen, "
-            "or all; may be given several times.",
+            help="Picture of all results in one: curve, q-eps, eps_v-eps, e-log-p, q-p, friction-dilatancy, "
+            "stress-dilatancy, mohr; of each: force-network, fabric-rose, membrane-cells, section, specimen; or all. "
+            "May be given several times.",
             show_default="curve",
         ),
     ] = None,
@@ -34,11 +35,11 @@ def plot(
 ) -> None:
     """Draw curves of one or several runs, compared with theory and data, and the balls, forces and membrane cells."""
     from axijax.app.figures import KINDS
-    from axijax.app.plot import plot_result
+    from axijax.app.plot import CURVES, plot_result
 
     kinds = kind or ["curve"]
     if "all" in kinds:
-        kinds = ["curve", *KINDS]
+        kinds = [*CURVES, *KINDS]
     results = _open(result)
     folder = output or (result[0] / "pictures" if len(result) == 1 and result[0].is_dir() else Path("pictures"))
     measured = _measured(data)

@@ -1,0 +1,152 @@
+"""A tight list: of a contact list's pairs those that can touch during the next few steps, found inside jit.
+
+In a random packing the contact list holds twice as many pairs as touch, so that it lasts, and a pair costs as much
+whether it touches or not. So the steps between two records see only the pairs whose gap their balls can close in that
+time. Every ball is allowed so much displacement (`allowances`), a pair is kept where its gap is smaller than what its
+two balls are allowed together, and as long as no ball has moved by more than it was allowed (`Tight.holds`), no contact
+is missing: images move as far as their balls do. A pair that does not touch has no force and an unstrained spring, and
+contacts keep their order, so that a step gives the same result to rounding whichever of the two lists it sees.
+
+Contacts and slots of the tight list have a fixed room; where that does not suffice it says so (`Tight.fits`), and the
+contact list itself has to be used.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from axijax.core.vector import Vector
+from axijax.mechanics.contact_list import ContactList, Room
+from axijax.mechanics.contacts import geometry
+from axijax.mechanics.term import Memory
+
+STEPS = 50  # most steps between two filterings, which cost as much as two steps
+SLACK = 0.02  # by which any ball may move between two filterings, in radii of the smallest ball
+FASTER = 2.0  # times what it would move at its present speed, which it may move besides
+
+
+class Tight(NamedTuple):
+    """A tight list, and what leads from and to the contact list that it was filtered from.
+
+    network: the list, with the reference positions and the sector of the contact list; () and (C',) arrays.
+    place: (C',) int, of each of its contacts in the contact list; the last, never closed, where there is none.
+    found_at: (C,) int, of each contact of the contact list in this one; the last where it is not there.
+    start: (N,) displacements at which it was made [L]. allowed: (N,) how far each ball may move from there [L].
+    fits: whether it holds all that it should.
+    """
+
+    network: ContactList
+    place: jax.Array
+    found_at: jax.Array
+    start: Vector
+    allowed: jax.Array
+    fits: jax.Array
+
+    def memory_in(self, memory: tuple[Memory, ...]) -> tuple[Memory, ...]:
+        """The terms' memory, with that of contacts for this list; it was made for the contact list."""
+        taken = lambda values: values.at[self.place].get(mode="promise_in_bounds")  # noqa: E731
+        return tuple(each._replace(contact=jax.tree.map(taken, each.contact)) for each in memory)
+
+    def memory_out(self, memory: tuple[Memory, ...], before: tuple[Memory, ...]) -> tuple[Memory, ...]:
+        """The terms' memory for the contact list again; `before`, what it was, where this list lacks the contact."""
+        known = self.found_at < self.place.size - 1
+
+        def given(values, old):
+            return jnp.where(known, values.at[self.found_at].get(mode="promise_in_bounds"), old)
+
+        return tuple(
+            each._replace(contact=jax.tree.map(given, each.contact, old.contact))
+            for each, old in zip(memory, before, strict=True)
+        )
+
+    def moved(self, displacement: Vector) -> jax.Array:
+        """The square of how far each ball is from where it was when the list was made; (N,) [L^2]."""
+        change = jax.lax.stop_gradient(displacement - self.start)
+        return change.dot(change)
+
+    def holds(self, farthest: jax.Array) -> jax.Array:
+        """Whether no contact has been missed, balls having been so far away; farthest: (N,) as `moved` [L^2]."""
+        return self.fits & (farthest <= self.allowed**2).all()
+
+
+def allowances(network: ContactList, velocity: Vector, dt, steps) -> jax.Array:
+    """How far each ball may move in so many steps; (N,) [L]. velocity: (N,) vectors [L/T]; dt: of a step [T]."""
+    reach = jnp.sqrt(velocity.dot(velocity)) * (FASTER * dt * steps) + SLACK * network.radius.min()
+    return jax.lax.stop_gradient(reach.astype(network.dtype))
+
+
+def tighten(network: ContactList, displacement: Vector, allowed: jax.Array) -> Tight:
+    """The pairs whose gap is smaller than what their balls may move together.
+
+    displacement: (N,) vectors from the reference positions [L]; allowed: (N,) [L]. Needs `network.tight`.
+    """
+    assert network.tight is not None
+    length, width = network.tight
+    nothing, balls = network.first.size - 1, network.radius.size
+    still = jax.lax.stop_gradient(displacement)
+    pair = geometry(network, still)
+    first, second = (allowed.at[ball].get(mode="promise_in_bounds") for ball in (network.first, network.second))
+    near = (pair.overlap + first + second > 0) & (network.image >= 0)
+    order = jnp.cumsum(near, dtype=jnp.int32)
+    found_at = jnp.where(near, jnp.minimum(order, length) - 1, length - 1)
+    place = jnp.full(length, nothing, jnp.int32)
+    place = place.at[jnp.where(near, order - 1, length)].set(
+        jnp.arange(nothing + 1, dtype=jnp.int32), mode="drop", unique_indices=True
+    )
+    place = place.at[length - 1].set(nothing)
+
+    there = found_at.at[network.slot].get(mode="promise_in_bounds")
+    rows = jnp.arange(width, dtype=jnp.int32)[:, None]
+
+    def taken(carry, row):
+        """Which of a ball's slots comes to each row of the tight table, and how many there are so far."""
+        chosen, number = carry
+        slot, filled = row
+        return (jnp.where(filled & (number == rows), slot, chosen), number + filled), None
+
+    start = jnp.full((width, balls), -1, jnp.int32), jnp.zeros(balls, jnp.int32)
+    slots = jnp.arange(network.slot.shape[0], dtype=jnp.int32)
+    (chosen, number), _ = jax.lax.scan(taken, start, (slots, there < length - 1))
+    there_is = chosen >= 0
+    chosen = jnp.maximum(chosen, 0) * balls + jnp.arange(balls, dtype=jnp.int32)
+
+    def slotted(table, without):
+        return jnp.where(there_is, table.ravel().at[chosen].get(mode="promise_in_bounds"), without)
+
+    def contact(values):
+        return values if values.ndim == 0 else values.at[place].get(mode="promise_in_bounds")
+
+    turned = {}
+    if network.sector.images > 1:
+        turned = {"slot_cos": slotted(network.slot_cos, 1.0), "slot_sin": slotted(network.slot_sin, 0.0)}
+    else:
+        turned = {name: jnp.broadcast_to(value, (width, balls)) for name, value in _unturned(network)}
+    tight = replace(
+        network,
+        **{name: contact(getattr(network, name)) for name in OF_CONTACTS},
+        branch=network.branch.map(contact),
+        slot=slotted(there, length - 1),
+        side=slotted(network.side, 0.0),
+        **turned,
+        tight=None,
+    )
+    fits = (order[-1] <= length - 1) & (number.max() <= width)
+    return Tight(tight, place, found_at, still, allowed, fits)
+
+
+OF_CONTACTS = ("first", "second", "image", "cos", "sin", "distance", "overlap", "pair_cube", "share")
+
+
+def _unturned(network: ContactList):
+    return ("slot_cos", jnp.ones((), network.dtype)), ("slot_sin", jnp.zeros((), network.dtype))
+
+
+def room_for(network: ContactList) -> Room:
+    """Room for the tight lists of a contact list whose balls move slowly, a tenth more than they need now (host)."""
+    reach = 3 * SLACK * float(network.radius.min())
+    near = (np.asarray(network.overlap) > -reach) & (np.asarray(network.image) >= 0)
+    slots = int(near[np.asarray(network.slot)].sum(axis=0).max(initial=0))
+    return Room(8 * -(-int(1.1 * near.sum() + 8) // 8), slots + 1)

@@ -1,0 +1,135 @@
+"""Steps that see a tight list (`axijax.mechanics.tight_list`) in place of the contact list, and what is observed by it.
+
+The results are those of the contact list to rounding: where a tight list had no room, or a ball moved by more than
+it was allowed, the steps are taken again with the contact list. Used where the list has room for it and no term acts
+between balls that do not touch.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from axijax.mechanics.contact_list import ContactList, closing
+from axijax.mechanics.dynamics import terms_of
+from axijax.mechanics.params import Params
+from axijax.mechanics.state import State
+from axijax.mechanics.tight_list import STEPS, Tight, allowances, tighten
+
+Step = Callable[[ContactList, State], State]
+
+
+def can_be_tight(network: ContactList, params: Params) -> bool:
+    """Whether steps may see a tight list."""
+    return network.tight is not None and not any(term.acts_apart for term in terms_of(params))
+
+
+def tight_list(network: ContactList, state: State, dt, steps: int) -> Tight:
+    """The pairs that can touch during so many steps, of which STEPS are the most, or that are likely to."""
+    return tighten(network, state.displacement, allowances(network, state.velocity, dt, min(steps, STEPS)))
+
+
+def observed(see: Callable[[ContactList, State], Any], network: ContactList, tight: Tight | None, state: State) -> Any:
+    """What is seen of a state with a tight list that was made for it, or with the contact list where there is none or
+    it has no room."""
+    if tight is None:
+        return see(network, state)
+    inside = state._replace(memory=tight.memory_in(state.memory))
+    return jax.lax.cond(tight.fits, lambda: see(tight.network, inside), lambda: see(network, state))
+
+
+def fixed_steps(step: Step, network: ContactList, dt, tight: Tight | None, state: State, steps: int) -> State:
+    """A state so many steps later, for jvp, vmap and reverse mode. tight: made for the state, or None for none."""
+    if tight is None:
+        return _with_all(step, network, state, steps)
+    number = -(-steps // STEPS)
+    if number == 1:
+        return _block(step, network, tight, state, steps)
+
+    def block(state, size):
+        return _block(step, network, tight_list(network, state, dt, size), state, size)
+
+    size, rest = divmod(steps, number)
+    state, _ = jax.lax.scan(lambda state, _: (block(state, size), None), state, None, length=number)
+    return block(state, rest) if rest else state
+
+
+def _block(step: Step, network: ContactList, tight: Tight, state: State, steps: int) -> State:
+    inside = state._replace(memory=tight.memory_in(state.memory))
+
+    def further(carry, _):
+        state, farthest = carry
+        farthest = jnp.maximum(farthest, tight.moved(state.displacement))
+        return (step(tight.network, state), farthest), None
+
+    (after, farthest), _ = jax.lax.scan(further, (inside, jnp.zeros_like(tight.allowed)), None, length=steps)
+    after = after._replace(memory=tight.memory_out(after.memory, state.memory))
+
+    return jax.lax.cond(tight.holds(farthest), lambda: after, lambda: _with_all(step, network, state, steps))
+
+
+def _with_all(step: Step, network: ContactList, state: State, steps: int) -> State:
+    return jax.lax.scan(lambda state, _: (step(network, state), None), state, None, length=steps)[0]
+
+
+def steps_until_worn(
+    step: Step,
+    network: ContactList,
+    dt,
+    tight: Tight,
+    state: State,
+    most,
+    ahead: int,
+    stride: int,
+    wear: Callable[[State], jax.Array],
+    with_all: Callable[[State, jax.Array], tuple[State, jax.Array]],
+) -> tuple[State, jax.Array, Tight]:
+    """A state after `most` steps, or fewer where the contact list is worn before; how many it took; its tight list.
+
+    tight: made for the state it starts from. ahead: steps that the next ones are made for, see `tight_list`.
+    stride: steps between looks at `wear`, beyond 1 of which it ends.
+    with_all: takes so many steps, or fewer where the list is worn, with the contact list.
+    """
+
+    def going(carry):
+        state, taken, _ = carry
+        return (taken < most) & ((taken == 0) | (wear(state) <= 1))
+
+    def further(carry):
+        state, taken, tight = carry
+        size = jnp.minimum(STEPS, most - taken)
+        usable = tight.fits & (closing(network, state.displacement, tight.allowed) <= network.skin)
+        after, number, farthest = _until_worn(
+            lambda state: step(tight.network, state), tight,
+            state._replace(memory=tight.memory_in(state.memory)), jnp.where(usable, size, 0), stride, wear,
+        )  # fmt: skip
+        good = usable & tight.holds(farthest)
+        after = after._replace(memory=tight.memory_out(after.memory, state.memory))
+        state = jax.tree.map(lambda new, old: jnp.where(good, new, old), after, state)
+        state, more = with_all(state, jnp.where(good, 0, size))
+        taken = taken + jnp.where(good, number, more)
+        return state, taken, tight_list(network, state, dt, ahead)
+
+    return jax.lax.while_loop(going, further, (state, jnp.zeros((), jnp.int32), tight))
+
+
+def _until_worn(step, tight: Tight, state: State, most, stride: int, wear):
+    """As `steps_until_worn` with one tight list; and how far each ball was from where it was made, (N,) [L^2]."""
+
+    def going(carry):
+        state, taken, _ = carry
+        return (taken < most) & ((taken == 0) | (wear(state) <= 1))
+
+    def further(carry):
+        state, taken, farthest = carry
+        end = jnp.minimum(taken + stride, most)
+
+        def one(_, carry):
+            state, farthest = carry
+            return step(state), jnp.maximum(farthest, tight.moved(state.displacement))
+
+        state, farthest = jax.lax.fori_loop(taken, end, one, (state, farthest))
+        return state, end, farthest
+
+    return jax.lax.while_loop(going, further, (state, jnp.zeros((), jnp.int32), jnp.zeros_like(tight.allowed)))

@@ -1,0 +1,169 @@
+"""The tight list against a search of every pair, and runs with it against runs that see the whole contact list."""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from few_balls import Pull, jit
+from test_neighbors import ANY_OVERLAP, every_pair, from_both_sides, listed, random_balls
+
+from axijax import Params, Scene, Sector, Specimen, TriaxialTest, random_cylinder
+from axijax.core.vector import Vector, from_rows
+from axijax.mechanics.contact_list import Room, build_contact_list, closing
+from axijax.mechanics.dynamics import initial_state, make_step, terms_of
+from axijax.mechanics.membrane import Load
+from axijax.mechanics.tight_list import allowances, room_for, tighten
+from axijax.triaxial.engine import until_balls_moved
+from axijax.triaxial.tight_steps import can_be_tight, fixed_steps, steps_until_worn, tight_list
+
+same = partial(np.testing.assert_allclose, rtol=1e-11, atol=1e-13)
+
+
+def moved_balls(order, seed=0, on_axis=2):
+    """A list, a displacement of its balls that it outlasts, and where they are then."""
+    specimen = random_balls(order, seed, on_axis)
+    network = build_contact_list(specimen, Sector(order), 0.6, 250, 2600, largest_overlap=ANY_OVERLAP)
+    shift = np.random.default_rng(seed + 1).uniform(-0.1, 0.1, specimen.positions.shape)
+    shift[:2, np.hypot(*specimen.positions[:2]) == 0] = 0.0
+    return network, from_rows(shift), replace(specimen, positions=specimen.positions + shift, bottom=-9.0, top=9.0)
+
+
+@pytest.mark.parametrize("order", range(1, 13))
+def test_it_holds_every_pair_that_its_balls_may_close(order):
+    """Images included, each once, in the order of the contact list; and its slots sum up the same on every ball."""
+    network, shift, now = moved_balls(order)
+    network = replace(network, tight=Room(2000, 200))
+    allowed = np.random.default_rng(9).uniform(0.0, 0.1, 25)
+    tight = jax.jit(tighten)(network, shift, jnp.asarray(allowed))
+    assert bool(tight.fits)
+    grown = replace(now, radius=now.radius + allowed)
+    found, on_axis = listed(tight.network), (np.hypot(*now.positions[:2]) == 0) & (order > 1)
+    assert set(from_both_sides(found, on_axis, order)) == set(every_pair(grown, order, 0.0))
+    assert len(found) < len(listed(network))
+    places = np.asarray(tight.place)[: len(found)]
+    assert (np.diff(places) > 0).all() and (np.asarray(tight.found_at)[places] == np.arange(len(found))).all()
+    # What a contact holds outside the tight list acts on no ball here.
+    held = np.random.default_rng(3).normal(size=(3, 2600)) * np.isin(np.arange(2600), places)
+    inside = from_rows(held[:, np.asarray(tight.place)])
+    for reaction in (-1, 1):
+        a, b = (np.asarray(each.sum_on_balls(v, reaction=reaction)) for each, v in
+                ((network, from_rows(held)), (tight.network, inside)))  # fmt: skip
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("room", [Room(8, 200), Room(2000, 2)])
+def test_it_says_when_it_has_no_room(room):
+    network, shift, _ = moved_balls(3)
+    tight = tighten(replace(network, tight=room), shift, jnp.full(25, 0.1))
+    assert not bool(tight.fits) and not bool(tight.holds(jnp.zeros(25)))
+
+
+def test_it_holds_until_one_ball_has_moved_by_more_than_it_was_allowed():
+    network, shift, _ = moved_balls(4)
+    tight = tighten(replace(network, tight=Room(2000, 200)), shift, jnp.linspace(0.01, 0.02, 25))
+    for ball in (0, 13, 24):
+        for share, holds in ((0.999, True), (1.001, False)):
+            away = np.zeros((3, 25))
+            away[2, ball] = share * float(tight.allowed[ball])
+            assert bool(tight.holds(tight.moved(shift + from_rows(away)))) is holds
+
+
+def shot(order, speed):
+    """Balls at rest in a ring with a hole between them, and one that flies into it and hits the wall behind, which is
+    listed and far from touching: the scene, and what steps it."""
+    radius = np.ones(8)
+    across, up = np.meshgrid([-1.2, 0.0, 1.2], [4.0, 6.4, 8.8], indexing="ij")
+    kept = np.arange(9) != 4
+    flat = np.stack([np.full(9, 20.0), across.ravel() * 1.8, up.ravel()])[:, kept]
+    place = np.concatenate([flat, [[23.5], [0.0], [6.4]], [[16.9], [0.0], [6.4]]], axis=1)
+    balls = Specimen(place, np.append(radius, [1.0, 1.0]), -9.0, 30.0, np.ones(10, bool))
+    network = build_contact_list(balls, Sector(order), skin=6.0)
+    network = replace(network, tight=Room(16, 6))
+    params, scene = Params(friction=0.3), Scene()
+    state = initial_state(scene, params, network, [-9.0, 30.0])
+    velocity = np.zeros((3, 10))
+    velocity[0, 8] = -speed
+    load = Load(jnp.zeros(10), jnp.asarray(1.0))
+    one = make_step(scene, lambda params, network, dt, state, push, section: jnp.zeros_like(state.platen_speeds))
+
+    def step(network, state):
+        return one(params, network, load, 1e-3, state)
+
+    return network, state._replace(velocity=from_rows(velocity)), step
+
+
+@pytest.mark.parametrize("order", [1, 5])
+def test_a_ball_shot_into_a_hole_meets_what_is_behind_it(order):
+    """With slow and fast flights: contacts come and go, and all is as with the whole list, to rounding."""
+    for speed in (2.0, 40.0):
+        network, start, step = shot(order, speed)
+        number, dt = int(7.0 / speed / 1e-3) // 50 * 50 + 25, 1e-3
+        whole = jit(lambda s: jax.lax.fori_loop(0, number, lambda _, s: step(network, s), s))(start)  # noqa: B023
+        first = tight_list(network, start, dt, 50)
+        fixed = jit(lambda s: fixed_steps(step, network, dt, first, s, number))(start)  # noqa: B023
+        assert float(np.abs(np.asarray(whole.velocity)[:, 9]).max()) > 0.1 * speed, "the wall was hit"
+
+        def until(state, most):
+            return until_balls_moved(lambda s: step(network, s), network, dt, most, state)  # noqa: B023
+
+        def wear(state):
+            return closing(network, state.displacement) / (2 * network.skin)  # noqa: B023
+
+        @jit
+        def run(state):
+            return steps_until_worn(step, network, dt, first, state, number, 50, 10, wear, until)  # noqa: B023
+
+        state, taken, _ = run(start)
+        assert int(taken) == number
+        for other in (fixed, state):
+            jax.tree.map(same, other, whole)
+
+
+def test_a_kick_that_no_list_foresaw_is_caught():
+    """A ball at rest that is suddenly driven moves by more than it was allowed: the steps are taken again."""
+    network, start, step = shot(1, 0.0)
+
+    def driven(network, state):
+        after = step(network, state)
+        x, y, z = after.velocity
+        return after._replace(velocity=Vector(x - 2.0 * (jnp.arange(10) == 8), y, z))
+
+    number = 75
+    whole = jit(lambda s: jax.lax.fori_loop(0, number, lambda _, s: driven(network, s), s))(start)
+    assert float(whole.velocity.x[9]) < 0, "it has hit the wall"
+    tight = jit(lambda s: fixed_steps(driven, network, 1e-3, tight_list(network, s, 1e-3, 50), s, number))(start)
+    jax.tree.map(same, tight, whole)
+
+
+def test_a_random_specimen_runs_as_with_the_whole_list():
+    """Curves of `run` and `simulate` with and without it are equal to rounding, derivatives too."""
+    specimen, report = random_cylinder(96, Sector(4), seed=3, tolerance=1e-2)
+    test = TriaxialTest(
+        specimen, Sector(4), params=Params(platen_speed=0.2), axial_strain=3e-3, tolerance=1e-2,
+        confining_friction=report.compaction_friction,
+    )  # fmt: skip
+    assert can_be_tight(test.network, test.params) and room_for(test.network).contacts < test.network.first.size
+    prepared = test.prepared
+    loose = replace(test)
+    loose.__dict__["prepared"] = replace(prepared, network=replace(prepared.network, tight=None))
+    direction = jax.tree.map(jnp.zeros_like, replace(test.params, friction=1.0))
+    direction = replace(direction, friction=jnp.ones(()))
+    ran = [each.run().curve for each in (test, loose)]
+    there = [jax.jvp(each.simulate, (test.params,), (direction,)) for each in (test, loose)]
+    for (curve, slope), (other, other_slope) in ((there[0], there[1]), ((ran[0], None), (ran[1], None))):
+        for name in ("stress_ratio", "core_ratio", "volumetric_strain", "coordination_number"):
+            np.testing.assert_allclose(getattr(curve, name), getattr(other, name), rtol=1e-12, atol=1e-14)
+        if slope is not None:
+            np.testing.assert_allclose(slope.stress_ratio, other_slope.stress_ratio, rtol=1e-9, atol=1e-12)
+    size = ran[0].stress_ratio.size
+    np.testing.assert_allclose(ran[0].stress_ratio, there[0][0].stress_ratio[:size], rtol=1e-12)
+
+
+def test_a_term_that_acts_at_a_distance_sees_the_whole_list():
+    network = replace(moved_balls(1)[0], tight=Room(2000, 200))
+    assert can_be_tight(network, Params()) and not can_be_tight(network, Params(terms=(Pull(1.0),)))
+    assert not any(term.acts_apart for term in terms_of(Params()))
+    assert partial(allowances, dt=1e-3, steps=50)(network, network.positions).shape == (25,)
