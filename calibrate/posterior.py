@@ -82,15 +82,16 @@ class Compared:
         return float(f_distribution.sf(squared / self.count, self.count, self.surface.freedom).mean())
 
     def predictive(self, values: np.ndarray, rng: np.random.Generator, packings: float | None = None) -> np.ndarray:
-        """(n, D) numbers that a test might give at (n, P_all) values: packings, surface and what the components leave
-        out drawn anew, measurement apart."""
+        """(n, D) numbers that a test might give at (n, P_all) values: packings, surface, what the components leave out
+        and measurement drawn anew."""
         mean, variance = self.expected(values)
         share = 1 / (self.packings if packings is None else packings)
         spread = np.sqrt((variance + self.surface.scatter * share) * self.slack)
         tails = np.sqrt(self.surface.freedom / rng.chisquare(self.surface.freedom, (len(values), 1)))
         drawn = self.surface.numbers(mean + spread * rng.standard_normal(mean.shape) * tails)
         rest = self.surface.outside * np.sqrt(share + 1 / len(self.surface.x))
-        return drawn + rest * rng.standard_normal(drawn.shape)
+        measured = rng.standard_normal(drawn.shape) @ np.linalg.cholesky(self.nodes.noise).T
+        return drawn + rest * rng.standard_normal(drawn.shape) + measured
 
 
 def compared(
