@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from axijax.core.files import write_whole
+from axijax.core.palette import COLOURS
 from axijax.core.shown import Card, shown
 from calibrate.evaluate import Evaluation
 from calibrate.measured import MeasuredCurve
@@ -15,6 +16,7 @@ from calibrate.model import Cost
 from calibrate.parameters import ParameterSet
 
 ACCURACY = 1e-3  # relative, of a simulated curve; see `of_the_simulator`
+FITTED, PREDICTED = COLOURS[:2]
 UNKNOWN = 1.0  # standard error of a log (or logit) from which a parameter counts as not identified: a factor e
 RESOLVED = 1e-8  # standard error of a log (or logit) below which it is rounding, as of data that a run made itself
 ENTANGLED = 0.98  # correlation from which two parameters count as not told apart
@@ -178,17 +180,18 @@ class Fit:
                 axes.errorbar(
                     [0], self.observed[at], 2 * self.sigma[at], fmt="ko", capsize=4, label="measured, 2 sigma"
                 )
-                axes.errorbar([0.3], predicted, band, fmt="C0s", capsize=4, label="fitted, 2 sigma")
+                axes.errorbar([0.3], predicted, band, fmt="s", color=FITTED, capsize=4, label="fitted, 2 sigma")
                 axes.set(xlim=(-0.5, 0.8), xticks=[], ylabel=label)
             else:
                 axes.plot(x, self.observed[at], "k.", ms=4, label="measured")
-                axes.plot(x, predicted, "C0", label="fitted")
+                axes.plot(x, predicted, color=FITTED, label="fitted")
                 axes.fill_between(
-                    x, predicted - band, predicted + band, color="C0", alpha=0.25, label="2 sigma of the fit"
+                    x, predicted - band, predicted + band, color=FITTED, alpha=0.25, label="2 sigma of the fit"
                 )
                 axes.set(xlabel=xlabel, ylabel=label)
-            axes.legend(frameon=False, fontsize="small")
-        title = ", ".join(f"{n} = {v:.4g} $\\pm$ {self.standard_error[n]:.1g}" for n, v in self.estimate.items())
+            axes.legend(frameon=False, fontsize=9)
+        errors = {n: "" if np.isnan(e) else f" $\\pm$ {e:.1g}" for n, e in self.standard_error.items()}
+        title = ", ".join(f"{n} = {v:.4g}{errors[n]}" for n, v in self.estimate.items())
         figure.suptitle(title, fontsize="medium")
         write_whole(path, lambda target: figure.savefig(target, dpi=150))
         return path
@@ -222,7 +225,7 @@ def _panels(target, at: slice):
     panels = [("stress ratio R [-]", x, slice(at.start, at.start + count), "axial strain [%]")]
     if target.volumetric_strain is not None:
         panels.append(
-            ("volumetric strain [-], compression positive", x, slice(at.start + count, at.stop), "axial strain [%]")
+            ("volumetric strain [-]\n(compression positive)", x, slice(at.start + count, at.stop), "axial strain [%]")
         )
     return panels
 

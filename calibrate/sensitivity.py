@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax.core.files import write_whole
+from axijax.core.palette import COLOURS
 from axijax.core.parallel import parallel
 from axijax.core.quantity import Quantity, present
 from axijax.core.shown import Card, shown
@@ -187,15 +188,16 @@ class Sensitivity:
         strain = 100 * self.strain
         for place, (name, size) in enumerate((("dR/dlog p [-]", 1.0), ("d(volumetric strain)/dlog p [%]", 100.0))):
             for p, label in enumerate(self.names):
+                colour = COLOURS[p % len(COLOURS)]
                 line, error = size * self.slopes[p, place], 2 * size * self.errors[p, place]
-                axes[place].plot(strain, line, color=f"C{p}", label=label)
+                axes[place].plot(strain, line, color=colour, label=label)
                 if np.isfinite(error).all():
-                    axes[place].fill_between(strain, line - error, line + error, color=f"C{p}", alpha=0.2, lw=0)
+                    axes[place].fill_between(strain, line - error, line + error, color=colour, alpha=0.2, lw=0)
                 if self.differences is not None:
-                    axes[place].plot(strain, size * self.differences[p, place], ".", color=f"C{p}")
+                    axes[place].plot(strain, size * self.differences[p, place], ".", color=colour)
             axes[place].axhline(0, color="0.7", lw=0.8, zorder=0)
             axes[place].set(xlabel="axial strain [%]", ylabel=name, xscale="log")
-        axes[1].legend(frameon=False, fontsize="small")
+        axes[1].legend(frameon=False, fontsize=9)
         how = "dots: differences" if self.differences is not None else (
             f"{self.packings} packings, band: two standard errors"
         )  # fmt: skip

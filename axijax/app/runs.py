@@ -33,7 +33,7 @@ import numpy as np
 from axijax.app import results
 from axijax.app.case import GIVEN, Case, load_case
 from axijax.app.case_writing import to_toml
-from axijax.app.overwrite import CURVES, clear, refuse_to_lose
+from axijax.app.overwrite import CURVES, clear, refuse_to_lose, remove_stale
 from axijax.app.results import curves_dataset, save_dataset, save_run
 from axijax.app.specimen_file import NAME, load_specimen, save_specimen
 from axijax.core.files import locked, printable, writable_folder, write_whole, writing_to
@@ -129,6 +129,10 @@ def resume(folder: Path, tell: Tell = lambda test, now: None, axial_strain: floa
             raise ValueError(f"result '{folder}' has lost its checkpoint.npz, so it cannot go on: run the case again.")
         if start is not None:
             _check_same_parameters(folder, test, start)
+        stale = remove_stale(folder)
+        if stale:
+            told = ", ".join(stale)
+            warnings.warn(f"{told}: removed, since they are of a smaller strain; draw them again", stacklevel=2)
         return _run(folder, case, test, start, {**info, "resumed": info["resumed"] + 1}, tell)
 
 

@@ -11,11 +11,13 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from axijax.core.palette import COLOURS
+
 Kind = TypeVar("Kind", bound=type)
 
 WIDE = 300  # characters of a repr, at most
 POINTS, CIRCLES = 160, 500  # of a picture, at most
-LINE = "#0072B2"  # read on white and on black
+LINE = COLOURS[0]  # read on white and on black
 
 
 class Card(NamedTuple):

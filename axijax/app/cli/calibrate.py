@@ -25,11 +25,11 @@ def calibrate(
     column: Annotated[
         Many,
         typer.Option(
-            metavar="QUANTITY=NAME [UNIT]",
+            metavar="QUANTITY=NAME",
             rich_help_panel=READING,
             show_default=False,
-            help="A column's name, unit, sign, or part of it, where the header does not say: 'axial_displacement = Weg "
-            "[mm]', 'q=[kPa]', 'eps_v=dV/V (dilation positive)'. Several times.",
+            help="A column's name, unit, sign, or part of it, where the header does not say: 's1=Druck "
+            "[bar]', 'q=[kPa]', 'eps_v=dV/V (dilation positive)'. Several times.",
         ),
     ] = None,
     test: Annotated[
@@ -55,7 +55,7 @@ def calibrate(
             rich_help_panel=READING,
             show_default=False,
             help="Standard uncertainty of stress_ratio or volumetric_strain (a fraction), such as "
-            "stress_ratio=0.05; left out, only the proportion 0.02 to 1e-4 counts.",
+            "R=0.05; left out, only the proportion 0.02 to 1e-4 counts.",
         ),
     ] = None,
     bounds: Annotated[

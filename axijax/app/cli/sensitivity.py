@@ -30,7 +30,7 @@ def sensitivity(
         Many,
         typer.Option(
             metavar="QUANTITY=NUMBER",
-            show_default="stress_ratio=0.02, volumetric_strain=1e-4",
+            show_default="0.02 of R, 1e-4 of volumetric strain",
             help="Of measured data, by which directions are judged. Several times.",
         ),
     ] = None,
