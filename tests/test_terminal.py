@@ -3,6 +3,7 @@
 import inspect
 import re
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -70,7 +71,7 @@ def test_a_pipe_has_a_fixed_width(monkeypatch, capsys):
 
 
 def test_what_belongs_together_is_not_parted():
-    text = "reached 0.9957 % of 1 % at R = 2.637 +- 0.004, in a/path/that/is/very/long/and/stays/whole.csv and 41.2 s more"
+    text = "reached 0.9957 % of 1 % at R = 2.637 +- 0.004, in a/path/that/is/long/and/stays/whole.csv and 41.2 s more"
     for room in range(45, 120):
         lines = say.wrapped(text, room, "  ")
         assert words(" ".join(lines)) == words(text)
@@ -93,7 +94,7 @@ def test_help_flows_and_shows_its_brackets(monkeypatch, command, width):
         assert " ".join(paragraph.split()) in flat, "with all its brackets"
     # No line ends before a word that would have fitted.
     text = found.out.split("\u256d")[0].split("\n")
-    for line, after in zip(text, text[1:], strict=False):
+    for line, after in pairwise(text):
         if line.strip() and after.strip():
             assert len(line.rstrip()) + 1 + len(after.split()[0]) > width - 2, line
     for example in main.COMMANDS[function]:
@@ -149,7 +150,7 @@ def test_six_snapshots_are_six_and_make_a_film(tmp_path):
         assert film.format == "GIF" and film.n_frames == 6
     few = open_result(folder)
     (folder / "snapshots" / "balls.pvd").unlink()
-    with pytest.raises(ValueError, match=r"kept no snapshots of its balls, and a film needs two or more.*--snapshots 40"):
+    with pytest.raises(ValueError, match=r"kept no snapshots of its balls, and a film needs two.*--snapshots 40"):
         plot.plot_result([few], ["animation"], tmp_path / "none")
     # What was drawn of the smaller strain goes where the run goes on.
     plot.plot_result([result], ["curve"], folder / "pictures")
@@ -169,8 +170,12 @@ def test_one_colour_has_one_meaning_and_all_are_told_apart(result):
     """Deuteranopia as Machado, Oliveira & Fernandes (2009) simulate it, in linear RGB; distances in CIE L*a*b*."""
     from matplotlib.colors import to_rgb
 
-    simulate = np.array([[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]])
-    xyz = np.array([[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.072175], [0.0193339, 0.119192, 0.9503041]])
+    simulate = np.array(
+        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]]
+    )
+    xyz = np.array(
+        [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.072175], [0.0193339, 0.119192, 0.9503041]]
+    )
 
     def lab(colour):
         light = np.array([c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in to_rgb(colour)])

@@ -106,7 +106,7 @@ pre { background: var(--box); padding: .8rem 1rem; overflow-x: auto; font-size: 
   .folding thead { display: none; } .folding td, .folding td.number { display: block; border: 0; text-align: left;
     padding: 0; white-space: normal; } .folding td:first-child { font-weight: 600; } }
 @media print { :root { color-scheme: light; --text: #000; --page: #fff; --quiet: #444; --box: #f6f8fa; --link: #000;
-  --line: #bbb; --thin: #ddd; --warn: #fff; }
+    --line: #bbb; --thin: #ddd; --warn: #fff; }
   body { margin: 0; max-width: none; font-size: 10.5pt; } h2 { break-after: avoid; }
   pre { white-space: pre-wrap; } }
 """
@@ -349,5 +349,5 @@ def _table(
     return (
         f'<div class="wide"><table class="{style}">{top}<tbody>'
         + "".join(f"<tr>{line('td', row)}</tr>" for row in rows)
-        + "</tbody></table>"
+        + "</tbody></table></div>"
     )

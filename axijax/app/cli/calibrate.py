@@ -25,7 +25,7 @@ def calibrate(
     column: Annotated[
         Many,
         typer.Option(
-            metavar="QUANTITY=NAME",
+            metavar="NAME=COLUMN",
             rich_help_panel=READING,
             show_default=False,
             help="A column's name, unit, sign, or part of it, where the header does not say: 's1=Druck "
@@ -51,7 +51,7 @@ def calibrate(
     uncertainty: Annotated[
         Many,
         typer.Option(
-            metavar="QUANTITY=NUMBER",
+            metavar="NAME=NUMBER",
             rich_help_panel=READING,
             show_default=False,
             help="Standard uncertainty of stress_ratio or volumetric_strain (a fraction), such as "

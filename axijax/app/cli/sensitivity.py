@@ -29,7 +29,7 @@ def sensitivity(
     uncertainty: Annotated[
         Many,
         typer.Option(
-            metavar="QUANTITY=NUMBER",
+            metavar="NAME=NUMBER",
             show_default="0.02 of R, 1e-4 of volumetric strain",
             help="Of measured data, by which directions are judged. Several times.",
         ),
