@@ -276,11 +276,7 @@ class Case(Section):
         wanted = {*stiffness, "confining_stress", "density", "damping_ratio"}
         material = self.parameters.model_dump(include=wanted & set(self.scene.takes()))
         made_of = self.specimen.model_dump_json(), self.sector.model_dump_json(), tuple(material.items())
-        if made_of not in _PACKED:
-            if len(_PACKED) == MOST_PACKED:
-                _PACKED.pop(next(iter(_PACKED)))
-            _PACKED[made_of] = _pack(*made_of, packing)
-        specimen, report = _PACKED[made_of]
+        specimen, report = _packed(*made_of, packing)
         case = self.with_test(confining_friction=report.compaction_friction if friction is None else friction)
         return case._slow(specimen), specimen, report
 
@@ -302,6 +298,19 @@ class Case(Section):
 # A sweep's members share a specimen.
 _PACKED: "dict[tuple, tuple[Specimen, PackingReport]]" = {}
 MOST_PACKED = 8
+
+
+def _packed(
+    specimen: str, sector: str, material: tuple[tuple[str, Any], ...], packing: Callable[[str], None] | bool = False
+) -> "tuple[Specimen, PackingReport]":
+    """A random specimen, from sections in JSON, made once. packing: is told what goes on."""
+    made_of = specimen, sector, material
+    if made_of not in _PACKED:
+        made = _pack(specimen, sector, material, packing)
+        while len(_PACKED) >= MOST_PACKED:
+            _PACKED.pop(next(iter(_PACKED)))
+        _PACKED[made_of] = made
+    return _PACKED[made_of]
 
 
 def _pack(

@@ -65,7 +65,7 @@ def clear(folder: Path) -> None:
 
 
 def remove_stale(folder: Path) -> list[str]:
-    """Remove what `axijax plot` and `axijax report` make of a result by default, since a run that goes on would leave it
+    """Remove what `axijax plot` and `axijax report` make of a result by default, which a run that goes on would leave
     behind; the names."""
     names = [REPORT]
     if (folder / PICTURES).is_dir():

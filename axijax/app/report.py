@@ -101,8 +101,9 @@ figcaption { font-size: .9rem; margin-top: .4rem; }
 pre { background: var(--box); padding: .8rem 1rem; overflow-x: auto; font-size: .85rem; line-height: 1.4; }
 @media (max-width: 40rem) { body { margin: 1.2rem auto; padding: 0 .8rem; } h1 { font-size: 1.5rem; }
   .figures { display: grid; grid-template-columns: 1fr 1fr; gap: .7rem 1rem; }
-  .figures div { min-width: 0; } .figures b { font-size: 1.15rem; } figure.broad { overflow-x: auto; } figure.broad img { max-width: none;
-    width: 40rem; } .folding tr { display: block; padding: .4rem 0; border-bottom: 1px solid var(--thin); }
+  .figures div { min-width: 0; } .figures b { font-size: 1.15rem; }
+  figure.broad { overflow-x: auto; } figure.broad img { max-width: none; width: 40rem; }
+  .folding tr { display: block; padding: .4rem 0; border-bottom: 1px solid var(--thin); }
   .folding thead { display: none; } .folding td, .folding td.number { display: block; border: 0; text-align: left;
     padding: 0; white-space: normal; } .folding td:first-child { font-weight: 600; } }
 @media print { :root { color-scheme: light; --text: #000; --page: #fff; --quiet: #444; --box: #f6f8fa; --link: #000;

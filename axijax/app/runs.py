@@ -208,9 +208,9 @@ def _run(
             save_progress(Path(keep_confined), test, now)
         done = now.share(test) if test.stages else now.strain
         if due and done >= due[0]:
+            reached.append(now.strain)
             try:
                 write_snapshot(now)
-                written.append(now.strain)
             except OSError:  # the disk, of which the rest of the run would suffer too
                 raise
             except Exception as error:
@@ -239,7 +239,7 @@ def _run(
             (folder / name).unlink(missing_ok=True)
         begun = 0.0 if start is None else start.share(test) if test.stages else start.strain
         due = _snapshot_strains(info["snapshots"], 1.0 if test.stages else test.axial_strain, begun)
-        wanted, written = len(due), list[float]()
+        wanted, reached = len(due), list[float]()
         if due:
             from axijax.app.paraview import SnapshotWriter
 
@@ -267,9 +267,9 @@ def _run(
             raise
         note("finished", run.ended)
         warn(run.ended or None)
-        if len(written) < wanted:
+        if len(reached) < wanted:
             reason = "a stage ends with a stretch of 1000 steps" if test.stages else "they are made at records"
-            warn(f"{len(written)} of {wanted} snapshots were made, since {reason}, and there were not enough of these")
+            warn(f"{len(reached)} of {wanted} snapshots were made, since {reason}, and there were not enough of these")
         from axijax.app.plot import draw_curve  # Matplotlib only where something is drawn
 
         warn(draw_curve(folder))
