@@ -24,7 +24,8 @@ FRICTION = 0.3  # between balls
 COMPACTION_FRICTION = 0.05
 INERTIAL_NUMBER = 2e-3
 SLICES = 6  # of the height, in which radius and place of the specimen are taken
-WINDOW = 0.004  # of axial strain, over which a curve is smoothed
+WINDOW = 0.004  # of axial strain, over which a curve is smoothed for its peak
+NEAR = 0.01  # of axial strain to either side, over which it is averaged
 AT = (0.02, 0.05, 0.10, 0.15)
 
 
@@ -95,8 +96,8 @@ def figures_of(found: dict) -> dict[str, float]:
         "end restraint": 0.0 if restraint is None else float(np.mean(np.array(restraint)[late])),
     }
     for at in AT:
-        near = np.abs(strain - at) < WINDOW
-        if strain[-1] > at - WINDOW / 2:
+        near = np.abs(strain - at) < NEAR
+        if strain[-1] > at - NEAR / 4:
             numbers[f"R at {100 * at:g} %"] = ratio[near].mean()
             numbers[f"volumetric strain at {100 * at:g} % [%]"] = (
                 100 * np.array(found["volumetric_strain"])[near].mean()
@@ -126,8 +127,9 @@ def work(options) -> None:
 
 
 def cases(options):
-    """All runs asked for: (order, platen friction, membrane, seed)."""
-    return itertools.product(options.orders, options.platens, options.membranes, range(options.seeds))
+    """All runs asked for: (order, platen friction, membrane, seed); a seed's together, so that one may stop early."""
+    for seed, *kind in itertools.product(range(options.seeds), options.orders, options.platens, options.membranes):
+        yield *kind, seed
 
 
 def file_of(options, case) -> Path:

@@ -150,13 +150,13 @@ class TestAPictureThatFails:
         monkeypatch.setitem(report.pictures.KINDS, "fabric-rose", broken)
         page = report.report_page([open_result(finished)])
         assert "the picture &#x27;fabric-rose&#x27; could not be drawn (no fonts)" in page
-        assert page.count("<img") == 5 and "How to make it again" in page
+        assert page.count("<img") == 9 and "How to make it again" in page
 
     def test_costs_plot_that_picture_alone(self, finished, tmp_path, monkeypatch):
         def broken(*_):
             raise RuntimeError("no fonts")
 
-        monkeypatch.setattr(plot, "curve_figure", broken)
+        monkeypatch.setitem(plot.CURVES, "curve", broken)
         called = axijax("plot", finished, "--kind", "curve", "--kind", "fabric-rose", "--output", tmp_path)
         assert called.code == 0 and "warning: curve.png could not be drawn (no fonts)" in called.err
         assert {path.name for path in tmp_path.iterdir()} == {"fabric-rose.png"}

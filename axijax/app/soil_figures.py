@@ -127,6 +127,8 @@ def stress_dilatancy(results: Sequence[Result], data: Measured | None = None) ->
         top = max(top, float(ratio[shown].max(initial=1.0)))
         friction = case.parameters.friction if case is not None and case.scene.friction else 0.0
         if case is not None and case.specimen.kind in ("octagon", "fcc"):
+            if friction >= 1:  # where the ideal array locks
+                continue
             factor = float(theory.rowe_stress_dilatancy(np.pi / 4, friction))
             _rowe(axes, factor, f"Rowe, FCC array, f = {friction:g}", line["color"], (0, (6, 3)))
             continue

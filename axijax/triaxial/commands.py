@@ -32,6 +32,7 @@ LASTING = 4.0  # times that a wave crosses, within which the membrane takes a la
 FASTEST = 10.0  # times the platen speed, that platens may run after a stress
 QUIET = 0.25  # times the rate of stress at which the platen speed loads an elastic specimen; where none is given
 BRAKE = 0.6  # of the rate at which speed is gained, at which it is lost
+STIFFEST = 4.0  # of a pore fluid, Kf/porosity over the specimen's stiffness against a wave
 LEAST = 1e-3  # share of the confining stress below which the membrane is not relieved
 
 

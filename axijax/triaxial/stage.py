@@ -27,7 +27,9 @@ from axijax.triaxial.commands import (
     CATCHING,
     LEAST,
     QUIET,
+    STIFFEST,
     Cycling,
+    Fluid,
     Held,
     Membrane,
     Moved,
@@ -254,6 +256,13 @@ class Stage(Path):
             lateral = to
         elif not isinstance(self.membrane, Held):
             lateral = np.nan
+        if isinstance(self.membrane, Fluid):
+            ratio = float(self.membrane.fluid_modulus) / float(self.membrane.porosity) / start.stiffness
+            if ratio > STIFFEST:
+                raise ValueError(
+                    f"fluid_modulus over porosity is {ratio:.3g} times the specimen's stiffness: at most {STIFFEST:g} "
+                    "can be followed; so stiff a fluid all but keeps the volume: take lateral = 'constant_volume'."
+                )
         rate = 2 * float(getattr(self.platens, "speed", None) or start.speed) / start.height
         if isinstance(self.platens, Pressed):
             if self.platens.axial_stress is not None:

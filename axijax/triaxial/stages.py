@@ -9,6 +9,7 @@ from axijax.mechanics.contact_list import closing
 from axijax.mechanics.contact_search import rebuild_in_jit
 from axijax.mechanics.dynamics import Scene, all_forces, initial_state
 from axijax.mechanics.membrane import Load
+from axijax.mechanics.membrane_surface import straightened
 from axijax.mechanics.params import Params
 from axijax.mechanics.rebuild import rebuild_on_host
 from axijax.mechanics.state import Loading, State
@@ -130,6 +131,7 @@ def start_stage(scene: Scene, path: Path, lists: Lists, dt, params: Params, stat
     state = state._replace(time=jnp.zeros_like(state.time), loading=loading)
     load = current_load(membrane, network, state, fixed)
     push = all_forces(scene, params, network, load, dt, state).platen_forces(network)
+    push = straightened(state.lateral_stress(params), load, push)
     return state._replace(loading=path.begin(params, network, load, state, push))
 
 
