@@ -288,7 +288,7 @@ def test_cells_are_those_that_are_loaded(moment):
 # Checks.
 
 
-CORE = "platen against core stress ratio at the largest stress ratio"
+CORE = "platen stress ratio against the inner core's at the largest stress ratio"
 
 
 def test_checks_of_a_sound_run(result):

@@ -147,7 +147,7 @@ def _packing_checks(result: Result) -> list[Check]:
     if error is not None and np.isfinite(error) and np.isfinite(core):
         checks.append(
             _at_most(
-                "core isotropic when shear begins", abs(core - 1), ISOTROPIC + SCATTERS * error,
+                "inner core isotropic when shear begins", abs(core - 1), ISOTROPIC + SCATTERS * error,
                 f"vertical over horizontal stress of the inner core is {core:.3f}; of {packing['core_contacts']} "
                 f"contacts 1 +- {error:.2g} is expected: allowed are {ISOTROPIC:g} and {SCATTERS:g} times that",
             )
@@ -166,7 +166,7 @@ def _radius_limit(test: TriaxialTest | None, radius: float) -> float:
 
 def _core_check(test: TriaxialTest | None, platen: float, core: float, radius: float, place: str = "the peak") -> Check:
     """Platen against core stress ratio, with the limit that the boundaries and the number of balls allow."""
-    name, gap = f"platen against core stress ratio at {place}", abs(platen / core - 1)
+    name, gap = f"platen stress ratio against the inner core's at {place}", abs(platen / core - 1)
     meaning = (
         f"{platen:.4g} from the platens, {core:.4g} in the inner core: a wide gap means that boundaries (platens of a "
         "short specimen, rigid sector planes) bear on the result"
@@ -182,7 +182,7 @@ def _core_check(test: TriaxialTest | None, platen: float, core: float, radius: f
         return _at_most(name, gap, 0.1, meaning)
     count = int(in_core(from_rows(test.cut.positions), radius, np.array([test.cut.bottom, test.cut.top])).sum())
     if count < FEW:
-        return Check(name, gap, f"scatters: {count} balls in the core", None, meaning)
+        return Check(name, gap, f"scatters: {count} balls in the inner core", None, meaning)
     return _at_most(name, gap, max(0.1, 2 * count**-0.5), meaning)
 
 

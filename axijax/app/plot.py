@@ -256,7 +256,7 @@ def deformed_figure(test: TriaxialTest, run: Run) -> Figure:
     ring = np.linspace(0, 2 * np.pi, 181)
     membrane = float(curve.membrane_radius[-1]) / unit
     plan.plot(membrane * np.cos(ring), membrane * np.sin(ring), color=COLOURS[2], lw=1, label="membrane radius Rm")
-    plan.legend(loc="lower right", fontsize=10)
+    plan.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), frameon=False, fontsize=LETTERS)
     plan.set(xlim=(-12.5, 12.5), ylim=(-12.5, 12.5), ylabel="y / r")
     figure.colorbar(
         matplotlib.cm.ScalarMappable(colours, "YlOrRd"), ax=[outside, section, plan], shrink=0.7, pad=0.01,

@@ -187,7 +187,7 @@ def _summary(result: Result) -> dict[str, str]:
     if case is not None and thornton_ratio(case) is not None:
         summary["Thornton (1979), rigid balls that do not rotate [-]"] = f"{thornton_ratio(case):.4g}"
     where = "at the peak" if found.peak.reached else "there"
-    core = f"core stress ratio {where} [-]"
+    core = f"stress ratio of the inner core {where} [-]"
     return summary | {core: f"{at_peak(result.curve, found.peak, 'core_ratio'):.4g}"}
 
 

@@ -21,7 +21,7 @@ MOST_MEMBERS = 10_000  # each is prepared before the first one runs, in a tenth 
 def batch(
     sweep: Annotated[Path, typer.Argument(help="Case file (TOML) with a table named sweep, of lists.")],
     output: Annotated[Path, typer.Option(help="Folder for the curves and the table.")] = Path("batch"),
-    workers: Annotated[int | None, typer.Option(min=1, help="Tests at a time; left out: one a core.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Tests at a time; left out: one a processor.")] = None,
     executor: Annotated[
         str | None,
         typer.Option(

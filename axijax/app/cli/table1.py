@@ -26,7 +26,7 @@ def table1(
     """Run the seven triaxial tests of Cui & O'Sullivan (2005), Table 1, and draw their figure 4.
 
     Writes table1.csv, curves.nc (all curves, NetCDF), figure_4a.png and figure_4b.png into the output folder.
-    Takes about half a minute on two cores.
+    Takes about half a minute on two processors.
     """
     import time
 
