@@ -26,7 +26,7 @@ from calibrate.ensemble import FIRST_SEED, design, run_all
 from calibrate.ground import Ground, own_scene
 from calibrate.library import Library, StoredRun
 from calibrate.measured import DataError, MeasuredCurve
-from calibrate.nodes import Nodes, nodes_of
+from calibrate.nodes import Nodes, nodes_of, of_a_laboratory
 from calibrate.parameters import Prior
 from calibrate.posterior import Compared, compared
 from calibrate.sampling import Sample, sample
@@ -122,6 +122,7 @@ def fit_study(
     axes, places = _layout(tests, names, bounds, own)
     priors = _priors(axes, priors)
     nodes = [nodes_of(test.curve) for test in tests]
+    nodes = [each if np.isfinite(t.packings) else of_a_laboratory(each) for t, each in zip(tests, nodes, strict=True)]
     grounds = _grounds(tests, nodes, axes, places, library)
     spent = _Spent(runs, further, report, progress, executor, workers)
     for ground in grounds:

@@ -53,6 +53,7 @@ class TestEntry(Section):
     )
     held_out: bool = Field(False, description="predicted, never fitted")
     weight: float = Field(1.0, gt=0, description="on the logarithm of its likelihood [-]")
+    first_strain: float = Field(0.0, ge=0, lt=0.5, description="where the data begin to count: bedding is no sand [-]")
     last_strain: float | None = Field(None, gt=0, lt=0.5, description="where the data are cut off [-]")
     specimen: dict[str, Any] = Field({}, description="fields of the case's [specimen] that are others for this test")
     columns: dict[str, str] = Field({}, description="what the header does not say: quantity = 'name [unit]'")
@@ -148,7 +149,7 @@ def _test(entry: TestEntry, case: Case, home: Path) -> StudyTest:
         sizes["sigma_known"] = True
     curve = read_measured(home / entry.data, entry.columns, test=entry.which, height=entry.height, **sizes)
     name = entry.name or Path(entry.data).stem
-    curve = cut(curve, entry.last_strain, name)
+    curve = cut(curve, entry.first_strain, entry.last_strain or curve.last_strain, name)
     if entry.specimen:
         sections = case.model_dump()
         held = sections["specimen"]
@@ -166,13 +167,16 @@ def _test(entry: TestEntry, case: Case, home: Path) -> StudyTest:
     )
 
 
-def cut(curve: MeasuredCurve, last_strain: float | None, name: str) -> MeasuredCurve:
-    """The data up to a strain. Raises DataError where too few are left."""
-    if last_strain is None or last_strain >= curve.last_strain:
+def cut(curve: MeasuredCurve, first_strain: float, last_strain: float, name: str) -> MeasuredCurve:
+    """The data between two strains. Raises DataError where too few are left."""
+    kept = (curve.axial_strain >= first_strain) & (curve.axial_strain <= last_strain)
+    if kept.all():
         return curve
-    kept = curve.axial_strain <= last_strain
     if kept.sum() < 5:
-        raise DataError(f"last_strain = {last_strain:g} of test '{name}': leaves {kept.sum()} points of 5 needed.")
+        raise DataError(
+            f"first_strain = {first_strain:g}, last_strain = {last_strain:g} of test '{name}': leave {kept.sum()} "
+            "points of 5 needed."
+        )
     changes: dict[str, Any] = {"axial_strain": curve.axial_strain[kept], "stress_ratio": curve.stress_ratio[kept]}
     if curve.volumetric_strain is not None:
         changes["volumetric_strain"] = curve.volumetric_strain[kept]

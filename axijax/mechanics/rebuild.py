@@ -58,7 +58,7 @@ def roomy_lists(
     outer = int(5 * (count * sector.order) ** (2 / 3) / sector.order) + 8
     network = _list_in(18, 64 * -(-count // 10), specimen, sector, None, largest_overlap, dtype)
     if specimen.zone_rule == "exposure":
-        network = replace(network, tight=_tight_room(network, Room(32 * -(-count // 10), 12)))
+        network = replace(network, tight=_tight_room(network, Room(36 * -(-count // 10), 12)))
     return network, _membrane_in(3 * outer + 80, outer, specimen, sector, dtype)
 
 
@@ -67,7 +67,7 @@ def _tight_room(network: ContactList, room: Room | None) -> Room | None:
     if room is None:
         return None
     needed = room_for(network)
-    return room if needed.contacts <= room.contacts and needed.width <= room.width else needed
+    return Room(_room(needed.contacts, room.contacts, 8), _room(needed.width, room.width, 1))
 
 
 def _list_in(

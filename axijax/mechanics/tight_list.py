@@ -145,8 +145,7 @@ def _unturned(network: ContactList):
 
 
 def room_for(network: ContactList) -> Room:
-    """Room for the tight lists of a contact list whose balls move slowly, a tenth more than they need now (host)."""
+    """Room that the tight lists of a contact list need while its balls move slowly (host)."""
     reach = 3 * SLACK * float(network.radius.min())
     near = (np.asarray(network.overlap) > -reach) & (np.asarray(network.image) >= 0)
-    slots = int(near[np.asarray(network.slot)].sum(axis=0).max(initial=0))
-    return Room(8 * -(-int(1.1 * near.sum() + 8) // 8), slots + 1)
+    return Room(int(near.sum()) + 1, int(near[np.asarray(network.slot)].sum(axis=0).max(initial=0)))
