@@ -16,7 +16,7 @@ params = axijax.Params(friction=0.3, platen_speed=0.01)
 
 
 def test(*stages) -> axijax.TriaxialTest:
-    return axijax.TriaxialTest(specimen, sector, params=params, stages=stages, tolerance=1e-5)
+    return axijax.TriaxialTest(specimen, sector, params=params, stages=stages, tolerance=1e-5, record_every=10)
 
 
 ways = {
@@ -37,7 +37,8 @@ for name, way in ways.items():
     )
 
 # %% [markdown]
-# Stages follow one another: load, unload until q is zero again, reload.
+# Stages follow one another: load, unload until q is zero again, reload. A stage ends at a record, so up to `record_every`
+# steps late.
 
 # %%
 cycle = test(
