@@ -11,7 +11,7 @@ axijax.fast_cpu_kernels()
 
 from axijax.batch import open_batch, parameter_grid, run_batch  # noqa: E402
 
-test = axijax.TriaxialTest(axijax.fcc_octagon(layers=5, half_width=5), axijax.Sector(4), axial_strain=0.012, tolerance=1e-5)
+test = axijax.TriaxialTest(axijax.fcc_octagon(), axijax.Sector(4), axial_strain=0.006)
 members = parameter_grid(test, friction=[0.1, 0.2, 0.3])
 result = run_batch(members, "batch")
 print(f"{len(result.outcomes)} tests, failed: {dict(result.failures) or 'none'}")

@@ -23,7 +23,12 @@ def on_config(config):
 
 
 def on_files(files, config):
-    """Adds the pages that are made."""
+    """Adds the pages that are made. The README is the home, the index of examples/ a page beside it."""
+    files.remove(files.get_file_from_path("README.md"))
+    readme, index = ((ROOT / place / "README.md").read_text() for place in ("", "examples"))
+    home = re.sub(r"(\]\(|src=\")examples/", r"\1", readme).replace("](README.md)", "](overview.md)")
+    files.append(File.generated(config, "index.md", content=home))
+    files.append(File.generated(config, "overview.md", content=index.replace("](../README.md)", "](index.md)")))
     for name, text in made().items():
         files.append(File.generated(config, f"reference/{name}.md", content=text))
     for name in TUTORIALS:
@@ -37,11 +42,12 @@ def on_page_markdown(markdown, page, config, files):
 
     def told(match):
         text, link = match.groups()
-        if Path(link).stem in TUTORIALS and link.endswith(".py"):
-            return f"[{text}]({link.removesuffix('.py')}_tutorial.md)"
         path = posixpath.normpath(posixpath.join(posixpath.dirname(page.file.src_uri), link.partition("#")[0]))
-        inside = link.startswith(("https://", "#")) or (not path.startswith("..") and not path.endswith(".py"))
-        return match[0] if inside else f"`{posixpath.normpath(posixpath.join('examples', path))}`"
+        if path in (f"guide/{name}.py" for name in TUTORIALS):
+            return f"[{text}]({link.removesuffix('.py')}_tutorial.md)"
+        if path.endswith(".py"):
+            return f"`{posixpath.normpath(posixpath.join('examples', path))}`"
+        return match[0] if link.startswith(("https://", "#")) or files.get_file_from_path(path) else text
 
     return re.sub(r"(?<!!)\[([^\[\]]+)\]\(([^()\s]+)\)", told, markdown)
 
@@ -79,11 +85,10 @@ def names(package: str, public: list[str], doc: str) -> str:
     lines = [f"# {package}", "", doc.partition("\n\n")[0], ""]
     for name in public:
         found = getattr(import_module(package), name)
-        home = getattr(found, "__module__", None)
-        if home is None or not home.startswith(("axijax", "calibrate")):  # a constant
+        if not hasattr(found, "__qualname__"):  # a constant
             lines += [f"## {name}", "", f"`{found!r}`", ""]
         else:
-            lines.append(FRAME.format(f"{home}.{found.__qualname__}"))
+            lines.append(FRAME.format(f"{found.__module__}.{found.__qualname__}"))
     return "\n".join(lines)
 
 
