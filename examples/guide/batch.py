@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Many tests at once
 #
-# Strength against friction: a grid of parameters, a test on each core. Every finished test is a file; run again, only what is
-# missing is computed.
+# Strength against friction: a grid of parameters, a test on each core. Every finished test is a file; run again, only
+# what is missing is computed.
 
 # %%
 import axijax

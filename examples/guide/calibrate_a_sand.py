@@ -1,10 +1,10 @@
 # %% [markdown]
 # # A sand calibrated
 #
-# The curve of one random packing is one draw, so that a sand is fitted with many packings: runs over the box of the parameters,
-# each on a packing of its own, a surface through them whose covariance holds the scatter, and the interval of the parameters
-# that the data leave. Here the data are simulated, with another packing and a hidden friction, and everything is small and
-# fast; a real sand takes 400 balls or more, slower platens, and 24 to 40 runs.
+# The curve of one random packing is one draw, so that a sand is fitted with many packings: runs over the box of the
+# parameters, each on a packing of its own, a surface through them whose covariance holds the scatter, and the
+# interval of the parameters that the data leave. Here the data are simulated, with another packing and a hidden
+# friction, and everything is small and fast; a real sand takes 400 balls or more, slower platens, and 24 to 40 runs.
 
 # %%
 from dataclasses import replace
@@ -47,6 +47,6 @@ fit = calibrate.fit_study(
 print(fit)
 
 # %% [markdown]
-# What to read: the interval, which the hidden 0.45 should be in, and the verdict. Data of one packing of sixty balls scatter
-# much, so that the interval is wide; `packings=calibrate.LABORATORY` says that the data scatter no more than a laboratory's.
-# The runs are kept in `library`: the next data set of this sand begins with them.
+# What to read: the interval, which the hidden 0.45 should be in, and the verdict. Data of one packing of sixty balls
+# scatter much, so that the interval is wide; `packings=calibrate.LABORATORY` says that the data scatter no more than
+# a laboratory's. The runs are kept in `library`: the next data set of this sand begins with them.

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Is my gradient healthy?
 #
-# A derivative of a long run may be exact and useless. `calibrate.gradient` gives none without its health: the agreement with
-# central differences of the same run over a sweep of step widths, and how fast tangents grow.
+# A derivative of a long run may be exact and useless. `calibrate.gradient` gives none without its health: the
+# agreement with central differences of the same run over a sweep of step widths, and how fast tangents grow.
 
 # %%
 import axijax
@@ -19,8 +19,8 @@ healthy = calibrate.gradient(test, window, "friction", steps=(1e-3,))
 print(healthy)
 
 # %% [markdown]
-# Cundall's local damping dissipates by switching with the sign of a velocity, which a tangent does not see. The values are
-# right, the tangents are not, and the health says so.
+# Cundall's local damping dissipates by switching with the sign of a velocity, which a tangent does not see. The
+# values are right, the tangents are not, and the health says so.
 
 # %%
 from dataclasses import replace  # noqa: E402

@@ -1,8 +1,9 @@
 # %% [markdown]
 # # Your own packing
 #
-# Balls from another program or a scanner: a file with columns x, y, z and radius, in any one unit of length, the cylinder's
-# axis at x = y = 0. Outer balls and platens are found. Here the file is written first, with balls that we have.
+# Balls from another program or a scanner: a file with columns x, y, z and radius, in any one unit of length, the
+# cylinder's axis at x = y = 0. Outer balls and platens are found. Here the file is written first, with balls that we
+# have.
 
 # %%
 import csv
@@ -22,8 +23,8 @@ specimen = axijax.packing("balls.csv")
 print(f"{len(specimen)} balls, height {specimen.height:.1f}, {len(specimen.membrane_zone)} of them under the membrane")
 
 # %% [markdown]
-# A sector is taken only of a packing that is the same after a turn, as this one is after a quarter's. What is not is refused
-# with a sentence, and simulated as the whole cylinder, `Sector(1)`.
+# A sector is taken only of a packing that is the same after a turn, as this one is after a quarter's. What is not is
+# refused with a sentence, and simulated as the whole cylinder, `Sector(1)`.
 
 # %%
 try:
@@ -32,8 +33,8 @@ except ValueError as refusal:
     print(refusal)
 
 # %% [markdown]
-# A packing of sand is confined with the friction of the test, so that it keeps its density; that is also what a case file
-# does by default for `kind = "file"`, `path = "balls.csv"` under `[specimen]`.
+# A packing of sand is confined with the friction of the test, so that it keeps its density; that is also what a case
+# file does by default for `kind = "file"`, `path = "balls.csv"` under `[specimen]`.
 
 # %%
 test = axijax.TriaxialTest(

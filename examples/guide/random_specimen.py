@@ -1,9 +1,9 @@
 # %% [markdown]
 # # A random specimen
 #
-# Balls of a grading, packed at random with the symmetry of a sector, compacted by membrane and platens. How dense they become
-# is a matter of the friction during compaction: 0.05 gives a dense packing, 0.5 nearly the loosest. Small here; take 2000
-# balls or more for a quarter, or its arc is too narrow.
+# Balls of a grading, packed at random with the symmetry of a sector, compacted by membrane and platens. How dense
+# they become is a matter of the friction during compaction: 0.05 gives a dense packing, 0.5 nearly the loosest. Small
+# here; take 2000 balls or more for a quarter, or its arc is too narrow.
 
 # %%
 from dataclasses import replace
@@ -17,8 +17,9 @@ specimen, report = axijax.random_cylinder(120, sector, compaction_friction=0.05,
 print(report)
 
 # %% [markdown]
-# The shear: friction of the sand, platens at a speed that is slow against the balls (an inertial number; 1e-4 is quasi-static,
-# the 2e-3 here is for a short tutorial), confined with the friction of its compaction so that it keeps its density.
+# The shear: friction of the sand, platens at a speed that is slow against the balls (an inertial number; 1e-4 is
+# quasi-static, the 2e-3 here is for a short tutorial), confined with the friction of its compaction so that it keeps
+# its density.
 
 # %%
 params = axijax.Params(friction=0.5)
@@ -29,8 +30,8 @@ dense = axijax.TriaxialTest(
 curve = dense.run().curve
 
 # %% [markdown]
-# A random specimen's curve jumps, and its largest record is what jumped highest. Its peak is that of the smoothed curve, with
-# a standard error.
+# A random specimen's curve jumps, and its largest record is what jumped highest. Its peak is that of the smoothed
+# curve, with a standard error.
 
 # %%
 print(axijax.peak_of(curve))

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Reading a curve as a soil mechanician
 #
-# What a laboratory writes of a triaxial test: friction angle, dilatancy, stiffness, void ratio. Compression is positive, the
-# rate of dilatancy d = -d(volumetric strain)/d(axial strain) counts expansion positive.
+# What a laboratory writes of a triaxial test: friction angle, dilatancy, stiffness, void ratio. Compression is
+# positive, the rate of dilatancy d = -d(volumetric strain)/d(axial strain) counts expansion positive.
 
 # %%
 import axijax
@@ -33,8 +33,9 @@ angle = np.degrees(np.arcsin((ratio - 1) / (ratio + 1)))
 print(f"R = {ratio:.3f} is a friction angle of {angle:.2f} degrees; the curve says {curve.friction_angle.max():.2f}")
 
 # %% [markdown]
-# Rowe's stress-dilatancy: R = K (1 + d) with K = tan(45 + phi_f/2)^2, phi_f being the angle of friction between the balls,
-# atan(0.12278) = 7 degrees. It is for contacts that slide; the volume begins to grow at the peak, so K is read behind it.
+# Rowe's stress-dilatancy: R = K (1 + d) with K = tan(45 + phi_f/2)^2, phi_f being the angle of friction between the
+# balls, atan(0.12278) = 7 degrees. It is for contacts that slide; the volume begins to grow at the peak, so K is read
+# behind it.
 
 # %%
 late = curve.axial_strain > 0.006

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Stress paths
 #
-# What follows confinement is a sequence of stages: a command for the platens and one for the membrane, until a criterion is
-# met. One specimen, confined once, is taken three ways.
+# What follows confinement is a sequence of stages: a command for the platens and one for the membrane, until a
+# criterion is met. One specimen, confined once, is taken three ways.
 
 # %%
 import axijax
@@ -32,13 +32,13 @@ for name, way in ways.items():
     curve = run.curve
     print(
         f"{name:10} q {float(curve.deviatoric_stress[-1]):8.0f}, p {float(curve.mean_stress[-1]):8.0f}, "
-        f"s3 {float(curve.lateral_stress[-1]):8.0f}, volumetric strain {100 * float(curve.volumetric_strain[-1]):8.4f} %"
+        f"s3 {float(curve.lateral_stress[-1]):8.0f}, volume {100 * float(curve.volumetric_strain[-1]):8.4f} %"
         f"{'  ' + run.ended if run.ended else ''}"
     )
 
 # %% [markdown]
-# Stages follow one another: load, unload until q is zero again, reload. A stage ends at a record, so up to `record_every`
-# steps late.
+# Stages follow one another: load, unload until q is zero again, reload. A stage ends at a record, so up to
+# `record_every` steps late.
 
 # %%
 cycle = test(

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Units: glass beads in SI, and in mm, N, s
 #
-# The program knows no units; any consistent set will do. The same test of 2 mm glass beads at 100 kPa, once in m, kg, s and
-# once in mm, tonne, s (forces in N, stresses in MPa): R against strain is the same to the last digits.
+# The program knows no units; any consistent set will do. The same test of 2 mm glass beads at 100 kPa, once in m, kg,
+# s and once in mm, tonne, s (forces in N, stresses in MPa): R against strain is the same to the last digits.
 
 # %%
 from dataclasses import replace
@@ -28,8 +28,8 @@ def beads(length: float, mass: float) -> axijax.TriaxialTest:
 
 
 # %% [markdown]
-# The balls are a hundred times softer than glass, as is common: steps are ten times longer, and the peak falls by little (see
-# Limits, softness). The platens go at an inertial number of 2e-3, which is fast, for a short tutorial.
+# The balls are a hundred times softer than glass, as is common: steps are ten times longer, and the peak falls by
+# little (see Limits, softness). The platens go at an inertial number of 2e-3, which is fast, for a short tutorial.
 
 # %%
 si, millimetres = beads(1.0, 1.0), beads(1e3, 1e-3)

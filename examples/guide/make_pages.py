@@ -1,6 +1,6 @@
 """What the site has beside the pages: those made from docstrings and fields, and links to files that are no pages.
 
-A hook of mkdocs, see mkdocs.yml and site.md.
+A hook of mkdocs; see mkdocs.yml and site.md.
 """
 
 import posixpath
@@ -27,6 +27,7 @@ def on_files(files, config):
     files.remove(files.get_file_from_path("README.md"))
     readme, index = ((ROOT / place / "README.md").read_text() for place in ("", "examples"))
     home = re.sub(r"(\]\(|src=\")examples/", r"\1", readme).replace("](README.md)", "](overview.md)")
+    home = home.replace('height="420"', 'style="max-height: 420px"')  # the theme overrules heights
     files.append(File.generated(config, "index.md", content=home))
     files.append(File.generated(config, "overview.md", content=index.replace("](../README.md)", "](index.md)")))
     for name, text in made().items():
