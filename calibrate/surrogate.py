@@ -176,7 +176,7 @@ def surrogate(x: np.ndarray, values: np.ndarray, straight: int = 0) -> Surrogate
     scaled = (values - mean) / scale
     _, sizes, rows = np.linalg.svd(scaled, full_matrices=False)
     held = int(np.searchsorted(np.cumsum(sizes**2) / (sizes**2).sum(), KEPT)) + 1
-    wanted = max(min(dims + 1, int(freedom // 3)), int(freedom // FREEDOM_EACH), 1)
+    wanted = max(min(dims - straight + 1, int(freedom // 3)), int(freedom // FREEDOM_EACH), 1)
     rows = rows[: min(held, MOST_COMPONENTS, wanted, len(sizes))]
     # What a parabola leaves is scatter and bends; what the processes leave, scatter alone.
     residual = _residual(design, scaled @ rows.T)

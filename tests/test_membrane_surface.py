@@ -25,6 +25,8 @@ from axijax.triaxial.progress import Progress
 from axijax.triaxial.records import Confinement, no_records
 
 loads = jit(membrane_load)
+# Of the lattices one: every other has a shape of its own, to be compiled.
+SOME = [name for name in TILINGS if not name.startswith("FCC") or name == "FCC octagon, 5 layers n=4 periodic"]
 
 
 def moved(specimen, radial):
@@ -52,7 +54,7 @@ def barrel(made):
 
 
 @pytest.mark.parametrize("tied", [False, True])
-@pytest.mark.parametrize("name", TILINGS)
+@pytest.mark.parametrize("name", SOME)
 def test_all_axial_forces_add_up_to_the_difference_of_the_ends(name, tied):
     """To rounding, for balls on platens and planes too; the horizontal forces are what they are without a slope."""
     made, sector = TILINGS[name]
@@ -177,16 +179,15 @@ def test_platens_are_judged_by_the_force_beyond_the_confining_stress_on_their_ow
     )
 
 
-@pytest.mark.parametrize("kind", ["normal", "tied"])
-def test_the_surface_goes_through_rebuilt_lists_and_checkpoints(kind, tmp_path):
+def test_the_surface_goes_through_rebuilt_lists_and_checkpoints(tmp_path):
     """The specimen as made is remembered; a load that keeps its first cells is part of the progress."""
-    test = small_test(kind, refresh=False, rebuild_every=8)
+    test = small_test("tied", refresh=False, rebuild_every=8)
     prepared, lists = test.prepared, test.prepared.lists
     state = initial_state(test.scene, test.params, test.network, prepared.platens)
     np.testing.assert_allclose(test.membrane.surface.made, np.hypot(*test.cut.positions[:2]), rtol=1e-15)
     _, on_host = rebuild_on_host(test.cut, lists, state)[0]
-    _, in_jit, _ = rebuild_in_jit(*lists, state)
-    fixed = fixed_load(test.refresh, None, lists, state)
+    _, in_jit, _ = jit(rebuild_in_jit)(*lists, state)
+    fixed = jit(lambda lists, state: fixed_load(False, None, lists, state))(lists, state)
     assert fixed.axial.shape == (len(test.cut),)
     nothing = Confinement(*[jnp.zeros(())] * 3)
     now = Progress(test.params, *lists, state, fixed, nothing, test.cut.height, no_records())

@@ -166,6 +166,12 @@ def test_platens_balance_momentum_and_angular_momentum_of_a_twisting_specimen(fr
     np.testing.assert_allclose(found, [*last[0, :2], last[1, 2]], rtol=1e-14)
 
 
+@jit
+def felt(params, network, state):
+    forces = all_forces(SCENE, params, network, no_load(network), 0.05, state)
+    return platen_records(network, positions(network, state), forces.walls)
+
+
 def test_a_sector_feels_the_torque_of_the_whole_cylinder():
     """n times its own, and no horizontal force; a specimen that swells is held together, one that shrinks apart."""
     params = Params(platen_friction=0.3, damping=None)
@@ -176,8 +182,7 @@ def test_a_sector_feels_the_torque_of_the_whole_cylinder():
         outward = np.stack([place[0], place[1], 0 * place[2]])
         swirl = np.stack([-place[1], place[0], 0 * place[2]])
         state = state._replace(velocity=from_rows(1e-3 * swirl + 2e-3 * outward), spin=from_rows(0 * place))
-        forces = all_forces(SCENE, params, network, no_load(network), 0.05, state)
-        seen.append({k: float(v) for k, v in platen_records(network, positions(network, state), forces.walls).items()})
+        seen.append({name: float(value) for name, value in felt(params, network, state).items()})
     full, quarter = seen
     assert quarter["end_restraint"] > 0.1 and full["top_torque"] > 0 and full["bottom_torque"] > 0
     for name in ("end_restraint", "top_torque", "bottom_torque"):
