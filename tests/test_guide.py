@@ -165,6 +165,8 @@ def test_pages_are_in_the_sites_navigation():
     config = (GUIDE / "mkdocs.yml").read_text()
     for path in GUIDE.glob("*.md"):
         assert f"guide/{path.name}" in config, path.name
+    for name in TUTORIALS:
+        assert f"guide/{name}_tutorial.md" in config, name
 
 
 def test_public_names_have_docstrings_for_the_sites_pages():

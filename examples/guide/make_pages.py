@@ -10,10 +10,8 @@ from pathlib import Path
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parents[2]
-TUTORIALS = (
-    "first_test", "reading_a_curve", "units", "own_packing", "random_specimen", "stress_paths", "batch",
-    "gradient_health", "calibrate_a_sand",
-)  # fmt: skip
+GUIDE = Path(__file__).resolve().parent
+TUTORIALS = sorted(path.stem for path in GUIDE.glob("*.py") if path.read_text().startswith("# %%"))
 FRAME = "::: {}\n"
 
 
@@ -33,7 +31,7 @@ def on_files(files, config):
     for name, text in made().items():
         files.append(File.generated(config, f"reference/{name}.md", content=text))
     for name in TUTORIALS:
-        text = tutorial((ROOT / "examples" / "guide" / f"{name}.py").read_text())
+        text = tutorial((GUIDE / f"{name}.py").read_text())
         files.append(File.generated(config, f"guide/{name}_tutorial.md", content=text))
     return files
 
