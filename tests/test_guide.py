@@ -6,6 +6,7 @@ import re
 import runpy
 from pathlib import Path
 
+import jax
 import matplotlib
 import pytest
 
@@ -16,6 +17,7 @@ ROOT = Path(__file__).parents[1]
 GUIDE = ROOT / "examples" / "guide"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "examples").glob("*.md")), *sorted(GUIDE.glob("*.md"))]
 PAGES += [ROOT / ".github" / "CONTRIBUTING.md"]
+PAPERS_QUARTER = ("first_test", "reading_a_curve", "batch")  # tutorials with its 427 balls
 TUTORIALS = sorted(path.stem for path in GUIDE.glob("*.py") if path.read_text().startswith("# %%"))
 
 
@@ -24,13 +26,18 @@ TUTORIALS = sorted(path.stem for path in GUIDE.glob("*.py") if path.read_text().
 
 @pytest.fixture(scope="module")
 def told(tmp_path_factory):
-    """Name of a tutorial -> what it printed, in a folder of its own."""
+    """Name of a tutorial -> what it printed, in a folder of its own. Programs of those with few balls are compiled in
+    haste, as they run briefly."""
 
     def run(name: str) -> str:
         out = io.StringIO()
-        with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out):
-            patch.chdir(tmp_path_factory.mktemp(name))
-            runpy.run_path(str(GUIDE / f"{name}.py"), run_name="__main__")
+        jax.config.update("jax_disable_most_optimizations", name not in PAPERS_QUARTER)
+        try:
+            with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out):
+                patch.chdir(tmp_path_factory.mktemp(name))
+                runpy.run_path(str(GUIDE / f"{name}.py"), run_name="__main__")
+        finally:
+            jax.config.update("jax_disable_most_optimizations", False)
         return out.getvalue()
 
     matplotlib.use("Agg")
@@ -81,10 +88,9 @@ def random_specimen(text):
 def stress_paths(text):
     found = {
         name: numbers(rf"{name} +q +{NUMBER}, p +{NUMBER}, s3 +{NUMBER}, volume +{NUMBER}", text)
-        for name in ("drained", "constant p", "undrained")
+        for name in ("drained", "undrained")
     }
     assert found["drained"][2] == 50000
-    assert found["constant p"][1] == pytest.approx(50000, rel=0.01)
     assert abs(found["undrained"][3]) < 0.01 < abs(found["drained"][3])
     ratio = float(re.findall(rf"with R = {NUMBER}", text)[1])
     assert ratio == pytest.approx(1.0, abs=0.02), "unloaded until q is zero"

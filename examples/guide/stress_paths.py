@@ -2,7 +2,7 @@
 # # Stress paths
 #
 # What follows confinement is a sequence of stages: a command for the platens and one for the membrane, until a
-# criterion is met. One specimen, confined once, is taken three ways.
+# criterion is met. One specimen, confined once, is sheared drained and undrained.
 
 # %%
 import axijax
@@ -21,7 +21,6 @@ def test(*stages) -> axijax.TriaxialTest:
 
 ways = {
     "drained": test(axijax.stage("compression", axial_strain=0.002)),
-    "constant p": test(axijax.stage("compression", lateral="constant_p", axial_strain=0.002)),
     "undrained": test(axijax.stage("compression", lateral="constant_volume", axial_strain=0.002)),
 }
 confined = ways["drained"].confined()
