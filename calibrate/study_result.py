@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 DRAWS = 1000
 SHARES = (0.025, 0.5, 0.975)
+LEAST_INSIDE = 0.75  # share of fitted data within their 95 % band; neighbouring windows differ alike
 
 
 @dataclass(frozen=True)
@@ -219,7 +220,7 @@ def concluded(
         intervals[axis.label or axis.name] = low, middle, high
     names = list(intervals)
     precisions = _precisions(fitted, axes, found)
-    missed = [_miss(test) for test in predictions if test.slack > 1 and not test.held_out and _matters(test)]
+    missed = [_miss(test) for test in predictions if not test.held_out and _out_of_reach(test)]
     reasons = verdicts(axes, found, intervals, shares, precisions, missed, known, precision)
     spread = np.sqrt(np.diag(found.covariance))
     return StudyFit(
@@ -274,6 +275,11 @@ def _predicted(test, one: Compared, values: np.ndarray, rng, slack: float) -> Pr
 
 def _matters(test: Prediction) -> bool:
     return test.ratio_rms > MATERIAL_RATIO or test.volume_rms > MATERIAL_VOLUME
+
+
+def _out_of_reach(test: Prediction) -> bool:
+    """Whether the data are missed by what matters, be it seen by the components or by the band alone."""
+    return _matters(test) and (test.slack > 1 or test.inside < LEAST_INSIDE)
 
 
 def _miss(test: Prediction) -> str:

@@ -92,7 +92,7 @@ def verdicts(
             Verdict(
                 "out of reach",
                 "the model cannot reach these data",
-                " ".join(misses) + " The intervals were widened by as much as it misses; look at units and signs of "
+                " ".join(misses) + " The intervals say little then; look at units and signs of "
                 "the data, the void ratio of the packings, and what is modelled (rolling resistance) or held.",
             )
         )

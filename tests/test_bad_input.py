@@ -197,7 +197,10 @@ CASES = {
     ),
     "negative skin": (lambda: build_contact_list(balls((3, 3, 0)), Sector(4), skin=-1.0), ["skin = -1.0"]),
     "NaN skin": (lambda: build_contact_list(balls((3, 3, 0)), Sector(4), skin=NAN), ["skin = nan"]),
-    "list too narrow": (lambda: build_contact_list(OCTAGON, Sector(1), width=2), ["width = 2", "neighbours"]),
+    "list too narrow": (
+        lambda: build_contact_list(OCTAGON, Sector(1), max_contacts_per_ball=2),
+        ["max_contacts_per_ball = 2", "neighbours"],
+    ),
     "list too short": (lambda: build_contact_list(OCTAGON, Sector(1), contacts=5), ["length = 5", "needed"]),
     "too few triangles": (lambda: build_membrane(OCTAGON, Sector(1), triangles=5), ["triangles = 5"]),
     "not that symmetric": (lambda: cut_to_sector(OCTAGON, Sector(3)), ["order = 3", "not the same after a turn"]),

@@ -112,7 +112,7 @@ def test_a_run_of_a_scene_is_that_of_the_case(folder):
     test = case.model_copy(update={"specimen": case.specimen.model_copy(update={"seed": 3})}).build()
     own = test.run().curve
     count = min(len(through.axial_strain), len(own.axial_strain))
-    assert count > 10 and (through.stress_ratio[:count] == own.stress_ratio[:count]).all()
+    assert count > 5 and (through.stress_ratio[:count] == own.stress_ratio[:count]).all()
     assert through.axial_strain[-1] >= 0.004, "a record past the end of the data"
 
 

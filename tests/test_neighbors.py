@@ -96,7 +96,9 @@ def test_each_contact_acts_on_both_its_balls(order):
     seen from the other side, as a force does, and for one that does not, as a moment."""
     specimen, skin = random_balls(order, seed=2), 0.3
     # One shape for all orders, so that nothing is compiled again.
-    network = build_contact_list(specimen, Sector(order), skin, width=250, contacts=2600, largest_overlap=ANY_OVERLAP)
+    network = build_contact_list(
+        specimen, Sector(order), skin, max_contacts_per_ball=250, contacts=2600, largest_overlap=ANY_OVERLAP
+    )
     pairs = every_pair(specimen, order, skin)
 
     def expected(vector):
@@ -167,7 +169,9 @@ def test_a_padded_list_holds_the_same_contacts():
     specimen, sector = random_balls(4, seed=5), Sector(4)
     tight = build_contact_list(specimen, sector, largest_overlap=ANY_OVERLAP)
     width, contacts = tight.slot.shape[0] + 3, tight.first.size + 24
-    padded = build_contact_list(specimen, sector, width=width, contacts=contacts, largest_overlap=ANY_OVERLAP)
+    padded = build_contact_list(
+        specimen, sector, max_contacts_per_ball=width, contacts=contacts, largest_overlap=ANY_OVERLAP
+    )
     assert padded.slot.shape == (width, 25) and padded.first.shape == (contacts,)
     assert listed(padded) == listed(tight)
     sums = [np.asarray(network.sum_on_balls(network.branch, reaction=-1)) for network in (tight, padded)]

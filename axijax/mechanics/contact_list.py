@@ -134,7 +134,7 @@ def build_contact_list(
     specimen: Specimen,
     sector: Sector,
     skin: float | None = None,
-    width: int | None = None,
+    max_contacts_per_ball: int | None = None,
     contacts: int | None = None,
     largest_overlap: float = 0.05,
     dtype=np.float64,
@@ -143,11 +143,11 @@ def build_contact_list(
 
     skin: how much farther than touching to look [L]; None takes 0.8 of the smallest radius, which in a cubic
         close packing stops just short of the second neighbours.
-    width, contacts: numbers of slots K and of contacts C to pad to; None takes what is needed. A rebuilt list that
-        keeps both keeps its shape, and nothing is compiled again.
+    max_contacts_per_ball, contacts: numbers of slots K and of contacts C to pad to; None takes what is needed. A
+        rebuilt list that keeps both keeps its shape, and nothing is compiled again.
     largest_overlap: refuse a specimen with a deeper overlap than this, in radii of the smaller ball [-].
 
-    Raises ValueError for overlapping balls, images included, and for a width or contacts that are too small.
+    Raises ValueError for overlapping balls, images included, and for numbers to pad to that are too small.
     """
     positions, radius = specimen.positions, specimen.radius
     count = len(specimen)
@@ -171,8 +171,11 @@ def build_contact_list(
 
     per_ball = np.bincount(ball, minlength=count)
     needed = max(int(per_ball.max(initial=0)), 1)
-    if width is not None and width < needed:
-        raise ValueError(f"contact list width = {width}: a ball has {needed} neighbours; allow at least that many.")
+    slots_of_a_ball = needed if max_contacts_per_ball is None else max_contacts_per_ball
+    if slots_of_a_ball < needed:
+        raise ValueError(
+            f"max_contacts_per_ball = {slots_of_a_ball}: a ball has {needed} neighbours; allow at least that many."
+        )
     # A multiple of 8 keeps the loops over contacts free of remainders.
     length = contacts or -(-(i.size + 1) // 8) * 8
     if length < i.size + 1:
@@ -180,7 +183,7 @@ def build_contact_list(
     row = np.arange(ball.size) - np.repeat(np.cumsum(per_ball) - per_ball, per_ball)
 
     def slots(values, empty, kind=dtype):
-        table = np.full((width or needed, count), empty, kind)
+        table = np.full((slots_of_a_ball, count), empty, kind)
         table[row, ball] = values
         return jnp.asarray(table)
 

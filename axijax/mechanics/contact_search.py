@@ -62,14 +62,14 @@ def contact_list(
     return ContactListFunctions(allocate, update)
 
 
-def grid_for(network: ContactList, room: float = 1.5) -> Grid:
-    """A grid for a contact list's balls, its capacity `room` times what is needed now (host)."""
+def grid_for(network: ContactList, capacity_multiplier: float = 1.5) -> Grid:
+    """A grid for a contact list's balls, its capacity `capacity_multiplier` times what is needed now (host)."""
     x, y, z = np.asarray(network.positions)
     widest = 2 * float(network.radius.max()) + float(network.skin)
     across, along = (int(np.ceil(1.1 * size / widest)) + 1 for size in (2 * np.hypot(x, y).max(), np.ptp(z)))
     grid = Grid((across, across, along), 1)
     fullest = int(_cell_counts(grid, network, network.positions).max())
-    return replace(grid, capacity=int(np.ceil(room * fullest)) + 2)
+    return replace(grid, capacity=int(np.ceil(capacity_multiplier * fullest)) + 2)
 
 
 def update(displacement: Vector, network: ContactList) -> ContactList:
