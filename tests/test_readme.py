@@ -25,7 +25,7 @@ ELSEWHERE = ("python3 -m venv", ".venv/bin/", "source .venv", "axijax table1", "
 # Pages whose commands go on from one another in one folder, in this order.
 COMMANDS = ("first_case.md", "calibration.md", "results.md")
 # What may end with exit code 1 here: checks and fits of specimens so small say what is wrong with them.
-MAY_DOUBT = ("axijax check results/first", "axijax calibrate results/sand")
+MAY_DOUBT = ("axijax check results/first", "axijax calibrate results/sketch")
 
 
 def blocks(language: str, text: str = README) -> list[str]:
@@ -89,11 +89,11 @@ def test_commands_of_the_first_case(first_case):
 
 def test_commands_of_the_sand(first_case):
     folder, printed = first_case
-    (fit,) = (out for line, out in printed.items() if line.startswith("axijax calibrate results/sand"))
+    (fit,) = (out for line, out in printed.items() if line.startswith("axijax calibrate results/sketch"))
     low, high = map(float, re.search(r"with 95 % between ([0-9.]+) and ([0-9.]+)", fit).groups())
     assert 0.1 < low < 0.4 < high < 0.9, "the case's own friction made the data"
     assert (folder / "sand" / "fit.png").stat().st_size > 1000
-    assert "\nplaten_speed = 0.03\n" in (folder / "sand.toml").read_text()
+    assert "\nplaten_speed = 0.03\n" in (folder / "sketch.toml").read_text()
 
 
 def test_commands_of_the_results_page(first_case):
