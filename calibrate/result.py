@@ -233,8 +233,8 @@ def _panels(target, at: slice):
 def of_the_simulator(prediction, stretch, sigma, weighted_jacobian) -> np.ndarray:
     """(P, P) covariance of the coordinates that the simulator's own accuracy makes, however good the data are.
 
-    What loading speed, time step and confinement leave of a lattice's curve at the default settings is 0.1 % (README,
-    sharp bits), the same way along the whole curve: of its height, as (M,) `prediction`, and of its strains, as the
+    What loading speed, time step and confinement leave of a lattice's curve at the default settings is 0.1 % (guide,
+    limits), the same way along the whole curve: of its height, as (M,) `prediction`, and of its strains, as the
     (M,) derivative `stretch` to the logarithm of the strain. A fit takes it for parameters: step by step as the (M',
     P) Jacobian over the (M,) `sigma` says.
     """

@@ -1,4 +1,4 @@
-"""Where the method stops being right: each limit of the README's sharp bits, measured. The paper's quarter throughout.
+"""Where the method stops being right: each limit of examples/guide/limits.md, measured. The paper's quarter throughout.
 
 Runs are compared with each other, with closed forms and with PHYSICS.md's independent program, never with a stored run.
 """

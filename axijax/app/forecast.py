@@ -132,7 +132,7 @@ def _memory() -> int | None:
 def _warnings(
     case: Case, test: TriaxialTest, found: Forecast, collapsed: bool, packing: "PackingReport | None"
 ) -> list[str]:
-    """What the README's sharp bits say of this case."""
+    """What the guide's limits say of this case."""
     params, sector, strain = test.params, test.sector, test.axial_strain
     if case.stage:
         strain = max(abs(each.axial_strain or each.first or 0.0) for each in case.stage)

@@ -52,7 +52,7 @@ class TriaxialTest:
     stages: what follows confinement, one after the other, see `axijax.triaxial.stage`; none: compression at the platen
         speed and constant lateral stress, to the axial strain.
     lateral_load: a constant load in place of the membrane's (see `membrane.Load`).
-    dtype: np.float64, or np.float32 (see the README's sharp bits).
+    dtype: np.float64, or np.float32 (see examples/guide/limits.md).
     allow_unsafe_step: accept any time step, to study what it does to a result.
     The other fields are settings; `axijax new` writes each with its meaning.
 

@@ -105,7 +105,8 @@ def calibrate(
         typer.Option(rich_help_panel=PACKINGS, show_default="the user's", help="Folder where all runs are kept."),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, rich_help_panel=PACKINGS, show_default="one a processor", help="Runs at a time.")
+        int | None,
+        typer.Option(min=1, rich_help_panel=PACKINGS, show_default="one a processor", help="Runs at a time."),
     ] = None,
     executor: Annotated[
         str | None,

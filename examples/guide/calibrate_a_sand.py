@@ -1,0 +1,52 @@
+# %% [markdown]
+# # A sand calibrated
+#
+# The curve of one random packing is one draw, so that a sand is fitted with many packings: runs over the box of the
+# parameters, each on a packing of its own, a surface through them whose covariance holds the scatter, and the
+# interval of the parameters that the data leave. Here the data are simulated, with another packing and a hidden
+# friction, and everything is small and fast; a real sand takes 400 balls or more, slower platens, and 24 to 40 runs.
+
+# %%
+from dataclasses import replace
+
+import axijax
+
+axijax.fast_cpu_kernels()
+axijax.use_compilation_cache()
+
+import calibrate  # noqa: E402
+
+SECTOR = axijax.Sector(2)
+
+
+def sand(seed: int, params: axijax.Params) -> axijax.TriaxialTest:
+    """A test of a packing of its own, with these parameters."""
+    specimen, report = axijax.random_cylinder(60, SECTOR, compaction_friction=0.05, seed=seed, params=params)
+    params = replace(params, platen_speed=axijax.platen_speed(2e-3, specimen, params))
+    return axijax.TriaxialTest(
+        specimen, SECTOR, params=params, axial_strain=0.02, tolerance=1e-3,
+        confining_friction=report.compaction_friction, confine_steps=100_000,
+    )  # fmt: skip
+
+
+# %%
+hidden = sand(seed=77, params=axijax.Params(friction=0.45)).run().curve
+every = slice(4, None, 4)
+data = calibrate.MeasuredCurve(hidden.axial_strain[every], hidden.stress_ratio[every], hidden.volumetric_strain[every])
+
+# %%
+scene = calibrate.RandomScene(sand, axijax.Params(friction=0.4))
+fit = calibrate.fit_study(
+    [calibrate.StudyTest("hidden", data, scene)],
+    "friction",
+    bounds={"friction": (0.1, 0.9)},
+    runs=14,
+    library="library",
+    workers=2,
+)
+print(fit)
+
+# %% [markdown]
+# What to read: the interval, which the hidden 0.45 should be in, and the verdict. Data of one packing of sixty balls
+# scatter much, so that the interval is wide; `packings=calibrate.LABORATORY` says that the data scatter no more than
+# a laboratory's. The runs are kept in `library`: the next data set of this sand begins with them.
