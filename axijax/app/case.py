@@ -228,7 +228,7 @@ class Case(Section):
             sections["stage"] = stages
             sections["test"].pop("axial_strain")
         else:
-            sections.pop("stage")
+            sections.pop("stage", None)  # where a caller leaves it out
         return sections
 
     def sections(self) -> dict[str, dict[str, Any]]:
