@@ -11,7 +11,7 @@ import pytest
 from cli_in_process import axijax
 
 from axijax.app import case
-from axijax.app.case import Case, default_case
+from axijax.app.case import Case, SpecimenCase, default_case
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -40,9 +40,7 @@ def small_case(kind: str) -> Case:
     """In the place of the paper's quarter and of four hundred balls at random."""
     if kind != "random":
         return Case(specimen={"layers": 9, "half_width": 5}, test={"axial_strain": 0.006, "record_every": 25})
-    sections = default_case(kind).model_dump(exclude={"stage"})
-    sections["specimen"] = {"kind": "random", "balls": 60}
-    return Case(**sections)
+    return default_case(kind).model_copy(update={"specimen": SpecimenCase(kind="random", balls=60)})
 
 
 @pytest.fixture(scope="module")
