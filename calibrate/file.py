@@ -6,8 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
+from axijax.core.bars import telling
 from axijax.core.files import draw_afterwards
-from calibrate.fit import fit_parameters
+from calibrate.fit import Progress, fit_parameters
 from calibrate.gradients import Health, gradient
 from calibrate.measured import DataError, MeasuredCurve, read_measured
 from calibrate.model import Model
@@ -29,6 +30,7 @@ def calibrate_file(
     start: Mapping[str, float] | Literal["rule", "test"] = "rule",
     priors: Mapping[str, Prior] | None = None,
     max_runs: float = 60,
+    progress: Progress = False,
     **reading,
 ) -> Fit:
     """Fit named parameters of a test to a measured curve in a CSV file, and write everything to a folder.
@@ -37,7 +39,7 @@ def calibrate_file(
     test: a TriaxialTest, whose parameters are the reference for whatever is not fitted and whose axial_strain the data
     must not exceed. output: folder for fit.json, fit.png and evaluations.jsonl (an interrupted fit resumes from it).
     check: end with the health of the gradient at the answer (six runs a parameter).
-    report: called with each line of text. bounds, start, priors, max_runs: of fit_parameters. reading: of
+    report: called with each line of text. bounds, start, priors, max_runs, progress: of fit_parameters. reading: of
     read_measured, such as columns={"axial_strain": "[%]"}.
 
     Raises DataError for data that cannot be used, ValueError for names and strains that make no sense, RunFailed where
@@ -60,7 +62,10 @@ def calibrate_file(
     output.mkdir(parents=True, exist_ok=True)
     claim(output)
     log = output / "evaluations.jsonl"
-    found = fit_parameters(model, curve, names, start=start, priors=priors, max_runs=max_runs, log=log)
+    found = fit_parameters(
+        model, curve, names, start=start, priors=priors, max_runs=max_runs, log=log,
+        progress=progress,
+    )  # fmt: skip
     found = replace(found, warnings=looked_wrong + found.warnings)
     found.save(output / "fit.json")
     report(str(found))
@@ -71,7 +76,9 @@ def calibrate_file(
     if check:
         stop = curve.last_strain
         window = WindowMean(0.5 * stop, stop)
-        slopes = gradient(model, window, values=found.estimate, steps=(1e-3, 1e-4))
+        with telling(bool(progress)) as tell:
+            tell("health of the gradient")
+            slopes = gradient(model, window, values=found.estimate, steps=(1e-3, 1e-4))
         report(f"gradient of the {window.name} at the answer")
         report(str(slopes))
         found = _with_health(found, slopes.health)

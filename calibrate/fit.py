@@ -7,12 +7,13 @@ that the linear model still wants is below the tolerance or a tenth of a standar
 step; whether the end may be called converged is for `calibrate.verdict` to say.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from axijax.core.bars import counting
 from calibrate.evaluate import Evaluation, Evaluator
 from calibrate.model import Model, RunFailed
 from calibrate.parameters import ParameterSet, Prior
@@ -21,6 +22,7 @@ from calibrate.start import corrected_by_run, start_by_rule
 from calibrate.verdict import CONVERGED, best_evaluation, concluded, weighted_residual
 
 Jacobian = Literal["economical", "tangent", "difference"]
+Progress = Callable[[float, float], object] | bool
 DIFFERENCE_STEP = 1e-4  # of the coordinates, for jacobian="difference"
 GOOD_PROGRESS = 0.3  # tangents are kept while the misfit that they can explain falls below this share of what it was
 SCATTERED = 0.5  # standard errors; a smaller step that does not shrink from run to run is the runs' own scatter
@@ -46,6 +48,7 @@ def fit_parameters(
     starts: int = 1,
     seed: int = 0,
     log: str | Path | None = None,
+    progress: Progress = False,
 ) -> Fit:
     """Fit named parameters of a test to measured numbers and curves.
 
@@ -62,6 +65,8 @@ def fit_parameters(
     starts: with more than one, so many starts are run first, one a core at a time, the others random within the bounds,
         and the fit goes on from the best; a start whose run fails is passed over.
     log: file for every evaluation; named again it resumes.
+    progress: True for a bar in the terminal or the notebook; or a function, called before each run with the runs spent
+        and the most that are allowed.
 
     Raises ValueError for what cannot be fitted (fewer numbers than parameters, say), RunFailed where no start gives a
     sound run.
@@ -79,9 +84,10 @@ def fit_parameters(
     prior_rows = _prior_rows(model.parameters, priors)
     evaluator.check_count(extra=len(prior_rows[0]))
     first = _first_point(model, evaluator, start, starts, seed)
-    search = _Search(evaluator, prior_rows, jacobian, tolerance, max_runs)
-    status = search.run(first, by_rule and jacobian == "economical")
-    return search.result(first, status)
+    with counting(progress) as tell:
+        search = _Search(evaluator, prior_rows, jacobian, tolerance, max_runs, tell)
+        status = search.run(first, by_rule and jacobian == "economical")
+        return search.result(first, status)
 
 
 def _prior_rows(parameters: ParameterSet, priors):
@@ -124,7 +130,11 @@ def _first_point(model: Model, evaluator: Evaluator, start, starts: int, seed: i
 class _Search:
     """One descent; keeps what is known at the accepted point."""
 
-    def __init__(self, evaluator: Evaluator, prior_rows, jacobian: Jacobian, tolerance: float, max_runs: float):
+    def __init__(
+        self, evaluator: Evaluator, prior_rows, jacobian: Jacobian, tolerance: float, max_runs: float,
+        tell: Callable[[float, float], object],
+    ):  # fmt: skip
+        self.tell = tell
         self.evaluator, self.model = evaluator, evaluator.model
         self.parameters = evaluator.model.parameters
         self.priors = prior_rows
@@ -208,6 +218,7 @@ class _Search:
             return self.latest[key]
         if self.model.cost.forward_equivalents >= self.max_runs:
             raise _Stop(f"stopped: {self.max_runs:g} runs are spent")
+        self.tell(self.model.cost.forward_equivalents, self.max_runs)
         with_tangents = self._along() and (self.kind == "tangent" or (first and self.kind == "economical"))
         evaluation = self.evaluator.tangents(z, self._along()) if with_tangents else self.evaluator.value(z)
         self.latest[key] = evaluation
@@ -250,6 +261,7 @@ class _Search:
         if not fresh and misfit > GOOD_PROGRESS * self.kept_misfit:
             if self.wanted < SCATTERED:
                 raise _Stop(CONVERGED)
+            self.tell(self.model.cost.forward_equivalents, self.max_runs)
             evaluation = self.evaluator.tangents(z, self._along())
             self.latest[tuple(np.asarray(z).tolist())] = evaluation
             if not evaluation.failed:

@@ -11,6 +11,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
+from axijax.core.shown import Card, line_picture, per_cent, shown
 from calibrate.columns import read_columns
 from calibrate.doubts import ConfiningStress, doubts, of_facts, without_padding
 from calibrate.facts import Facts, length, stress
@@ -22,6 +23,7 @@ LOWEST_RATIO, HIGHEST_RATIO = 0.9, 1000.0  # outside no s1/s3 of a compression t
 Q_INSTEAD = "the column holds q = s1 - s3, name it q and give confining_stress too, if q/p, name it q/p"
 
 
+@shown
 @dataclass(frozen=True)
 class MeasuredCurve:
     """A measured test, compared with a simulated one at its own strains.
@@ -80,6 +82,19 @@ class MeasuredCurve:
             spread = np.asarray(getattr(self, name), float)
             if spread.shape not in ((), strain.shape) or not (np.isfinite(spread).all() and (spread > 0).all()):
                 raise DataError(f"{name} = {getattr(self, name)!r}: must be positive, one number or one a point.")
+
+    def _card(self) -> Card:
+        strain, ratio = self.axial_strain, self.stress_ratio
+        rows = {
+            "source": Path(self.source).name or "none",
+            "points": str(len(self)),
+            "axial strain": f"{per_cent(strain[0])} to {per_cent(strain[-1])}",
+            "stress ratio [-]": f"{ratio.min():.4g} to {ratio.max():.4g}",
+            "the file says": str(self.facts) or "nothing",
+            "warnings": "; ".join(self.warnings) or "none",
+        }
+        picture = line_picture(100 * strain, ratio, "axial strain [%]", "stress ratio s1/s3 [-]")
+        return Card("MeasuredCurve", rows, picture, tuple(rows)[:4])
 
     def _check_signs_and_order(self):
         strain, ratio = self.axial_strain, self.stress_ratio

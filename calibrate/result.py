@@ -8,17 +8,21 @@ from pathlib import Path
 import numpy as np
 
 from axijax.core.files import write_whole
+from axijax.core.palette import COLOURS
+from axijax.core.shown import Card, shown
 from calibrate.evaluate import Evaluation
 from calibrate.measured import MeasuredCurve
 from calibrate.model import Cost
 from calibrate.parameters import ParameterSet
 
 ACCURACY = 1e-3  # relative, of a simulated curve; see `of_the_simulator`
+FITTED, PREDICTED = COLOURS[:2]
 UNKNOWN = 1.0  # standard error of a log (or logit) from which a parameter counts as not identified: a factor e
 RESOLVED = 1e-8  # standard error of a log (or logit) below which it is rounding, as of data that a run made itself
 ENTANGLED = 0.98  # correlation from which two parameters count as not told apart
 
 
+@shown
 @dataclass(frozen=True)
 class Fit:
     """Result of a fit of P parameters to M numbers.
@@ -99,6 +103,20 @@ class Fit:
         status = f"not converged: {words}" if self.converged else self.status
         return replace(self, status=status, warnings=(*self.warnings, sentence))
 
+    def _card(self) -> Card:
+        found = {}
+        for place, (name, value) in enumerate(self.estimate.items()):
+            error, (low, high) = self.standard_error[name], self.interval[name]
+            found[name] = f"{value:.6g}"
+            found[name] += (
+                f" (no standard error: {self._no_error(place)})"
+                if np.isnan(error)
+                else f" +- {error:.2g} (one standard error: {low:.6g} to {high:.6g})"
+            )
+        rows = {"status": self.status, **found, "scatter [-]": f"{self.scatter:.3g}"}
+        rows |= {"cost": f"{self.cost.forward_equivalents:.1f} runs", "warnings": "; ".join(self.warnings) or "none"}
+        return Card("Fit", rows, brief=("status", *found))
+
     def __str__(self) -> str:
         rows = [f"fit {self.status}"]
         if not np.isnan(self.scatter):
@@ -162,17 +180,18 @@ class Fit:
                 axes.errorbar(
                     [0], self.observed[at], 2 * self.sigma[at], fmt="ko", capsize=4, label="measured, 2 sigma"
                 )
-                axes.errorbar([0.3], predicted, band, fmt="C0s", capsize=4, label="fitted, 2 sigma")
+                axes.errorbar([0.3], predicted, band, fmt="s", color=FITTED, capsize=4, label="fitted, 2 sigma")
                 axes.set(xlim=(-0.5, 0.8), xticks=[], ylabel=label)
             else:
                 axes.plot(x, self.observed[at], "k.", ms=4, label="measured")
-                axes.plot(x, predicted, "C0", label="fitted")
+                axes.plot(x, predicted, color=FITTED, label="fitted")
                 axes.fill_between(
-                    x, predicted - band, predicted + band, color="C0", alpha=0.25, label="2 sigma of the fit"
+                    x, predicted - band, predicted + band, color=FITTED, alpha=0.25, label="2 sigma of the fit"
                 )
                 axes.set(xlabel=xlabel, ylabel=label)
-            axes.legend(frameon=False, fontsize="small")
-        title = ", ".join(f"{n} = {v:.4g} $\\pm$ {self.standard_error[n]:.1g}" for n, v in self.estimate.items())
+            axes.legend(frameon=False, fontsize=9)
+        errors = {n: "" if np.isnan(e) else f" $\\pm$ {e:.1g}" for n, e in self.standard_error.items()}
+        title = ", ".join(f"{n} = {v:.4g}{errors[n]}" for n, v in self.estimate.items())
         figure.suptitle(title, fontsize="medium")
         write_whole(path, lambda target: figure.savefig(target, dpi=150))
         return path
@@ -206,7 +225,7 @@ def _panels(target, at: slice):
     panels = [("stress ratio R [-]", x, slice(at.start, at.start + count), "axial strain [%]")]
     if target.volumetric_strain is not None:
         panels.append(
-            ("volumetric strain [-], compression positive", x, slice(at.start + count, at.stop), "axial strain [%]")
+            ("volumetric strain [-]\n(compression positive)", x, slice(at.start + count, at.stop), "axial strain [%]")
         )
     return panels
 

@@ -17,8 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax.core.files import write_whole
+from axijax.core.palette import COLOURS
 from axijax.core.parallel import parallel
 from axijax.core.quantity import Quantity, present
+from axijax.core.shown import Card, shown
 from axijax.core.status import described
 from calibrate.model import RunFailed
 from calibrate.parameters import aliases
@@ -63,6 +65,7 @@ class Direction:
         return f"{known}: {moved} (then {effect})"
 
 
+@shown
 @dataclass(frozen=True)
 class Sensitivity:
     """P parameters at S strains.
@@ -118,20 +121,35 @@ class Sensitivity:
         values, vectors = np.linalg.eigh(slopes @ slopes.T - np.diag(noise))
         return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
+    def _card(self) -> Card:
+        rows = {
+            "parameters": ", ".join(self.names),
+            "axial strain [%]": f"{100 * self.strain[0]:.3g} to {100 * self.strain[-1]:.3g}",
+            "packings": str(self.packings),
+        }
+        told = {f"direction {place}": one.told(self.names) for place, one in enumerate(self.directions, 1)}
+        return Card("Sensitivity", rows | told, brief=tuple(rows))
+
     def __str__(self) -> str:
+        return self.table()
+
+    def table(self, room: int = 120) -> str:
+        """As text, tables within so many characters: in several pieces where they are wider."""
         how = "tangents" if self.differences is not None else f"differences, mean of {self.packings} packings"
         width = max(map(len, self.names)) + 2
         shown = range(len(self.strain) - 1, -1, -2)[::-1] if len(self.strain) > 6 else range(len(self.strain))
+        fit = max((room - width) // 18, 1)
         lines = []
         for place, (title, size) in enumerate((("dR/dlog p", 1.0), ("d(volumetric strain)/dlog p [%]", 100.0))):
             lines.append(f"{title}, {how}, at axial strain [%]")
-            lines.append(" " * width + "".join(f"{100 * self.strain[s]:>18.3g}" for s in shown))
-            for p, name in enumerate(self.names):
-                cells = []
-                for s in shown:
-                    value, error = size * self.slopes[p, place, s], size * self.errors[p, place, s]
-                    cells.append(f"{value:.3g}" if np.isnan(error) else f"{value:.2g} +- {error:.1g}")
-                lines.append(f"{name:{width}}" + "".join(f"{cell:>18}" for cell in cells))
+            for some in (shown[k : k + fit] for k in range(0, len(shown), fit)):
+                lines.append(" " * width + "".join(f"{100 * self.strain[s]:>18.3g}" for s in some))
+                for p, name in enumerate(self.names):
+                    cells = []
+                    for s in some:
+                        value, error = size * self.slopes[p, place, s], size * self.errors[p, place, s]
+                        cells.append(f"{value:.3g}" if np.isnan(error) else f"{value:.2g} +- {error:.1g}")
+                    lines.append(f"{name:{width}}" + "".join(f"{cell:>18}" for cell in cells))
         if (apart := self.disagreement) is not None:
             told = ", ".join(f"{name} {a:.1e} and {b:.1e}" for name, (a, b) in zip(self.names, apart, strict=True))
             lines.append(f"disagreement of the tangents with differences (of R and volume): {told}")
@@ -170,15 +188,16 @@ class Sensitivity:
         strain = 100 * self.strain
         for place, (name, size) in enumerate((("dR/dlog p [-]", 1.0), ("d(volumetric strain)/dlog p [%]", 100.0))):
             for p, label in enumerate(self.names):
+                colour = COLOURS[p % len(COLOURS)]
                 line, error = size * self.slopes[p, place], 2 * size * self.errors[p, place]
-                axes[place].plot(strain, line, color=f"C{p}", label=label)
+                axes[place].plot(strain, line, color=colour, label=label)
                 if np.isfinite(error).all():
-                    axes[place].fill_between(strain, line - error, line + error, color=f"C{p}", alpha=0.2, lw=0)
+                    axes[place].fill_between(strain, line - error, line + error, color=colour, alpha=0.2, lw=0)
                 if self.differences is not None:
-                    axes[place].plot(strain, size * self.differences[p, place], ".", color=f"C{p}")
+                    axes[place].plot(strain, size * self.differences[p, place], ".", color=colour)
             axes[place].axhline(0, color="0.7", lw=0.8, zorder=0)
             axes[place].set(xlabel="axial strain [%]", ylabel=name, xscale="log")
-        axes[1].legend(frameon=False, fontsize="small")
+        axes[1].legend(frameon=False, fontsize=9)
         how = "dots: differences" if self.differences is not None else (
             f"{self.packings} packings, band: two standard errors"
         )  # fmt: skip

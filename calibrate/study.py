@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from axijax.core.bars import counting
 from axijax.core.fingerprint import fingerprint
 from calibrate.axes import Axis, axes_of, prior_density
 from calibrate.ensemble import FIRST_SEED, design, run_all
@@ -98,7 +99,7 @@ def fit_study(
     executor: Executor | None = None,
     workers: int | None = None,
     report: Callable[[str], object] = lambda text: None,
-    progress: Callable[[int, int, StoredRun], object] = lambda done, wanted, run: None,
+    progress: Callable[[int, int, StoredRun], object] | bool = False,
 ) -> StudyFit:
     """Fit parameters to the tests that are not held out, and predict all of them.
 
@@ -111,7 +112,8 @@ def fit_study(
         None stops where further runs would hardly narrow the answer.
     seed: of design and samples. library: folder of libraries, see `calibrate.library`.
     executor, workers: see `calibrate.ensemble.run_all`.
-    report: called with lines of text. progress: called with runs made, runs wanted at most, and the run.
+    report: called with lines of text. progress: True for a bar in the terminal or the notebook; or a function, called
+        with runs made, runs wanted at most, and the run.
 
     Raises ValueError for what cannot be fitted, RuntimeError where too few runs are sound to lay a surface.
     """
@@ -124,23 +126,24 @@ def fit_study(
     nodes = [nodes_of(test.curve) for test in tests]
     nodes = [each if np.isfinite(t.packings) else of_a_laboratory(each) for t, each in zip(tests, nodes, strict=True)]
     grounds = _grounds(tests, nodes, axes, places, library)
-    spent = _Spent(runs, further, report, progress, executor, workers)
-    for ground in grounds:
-        ground.read()
-        spent.begin(ground)
-        _first(ground, spent, seed)
-    while True:
-        fitted, held = _compared(tests, nodes, places, grounds)
-        found = _sampled(fitted, axes, priors, seed)
-        fitted, found = _slackened(fitted, found, axes, priors, seed)
-        shares = _known_shares(fitted, axes, found)
-        known = bool((shares >= KNOWN).all()) if precision is None else _precise(axes, found, precision)
-        enough = known and not open_ones(found).any()
-        report(_standing(axes, found, sum(len(g.ground.runs) for g in grounds)))
-        if enough or not any(spent.left(g) for g in grounds):
-            break
+    with counting(progress) as count:
+        spent = _Spent(runs, further, report, count, executor, workers)
         for ground in grounds:
-            _more(ground, spent, axes, found, tests, places, seed)
+            ground.read()
+            spent.begin(ground)
+            _first(ground, spent, seed)
+        while True:
+            fitted, held = _compared(tests, nodes, places, grounds)
+            found = _sampled(fitted, axes, priors, seed)
+            fitted, found = _slackened(fitted, found, axes, priors, seed)
+            shares = _known_shares(fitted, axes, found)
+            known = bool((shares >= KNOWN).all()) if precision is None else _precise(axes, found, precision)
+            enough = known and not open_ones(found).any()
+            report(_standing(axes, found, sum(len(g.ground.runs) for g in grounds)))
+            if enough or not any(spent.left(g) for g in grounds):
+                break
+            for ground in grounds:
+                _more(ground, spent, axes, found, tests, places, seed)
     return concluded(
         tests, fitted, held, axes, found, shares, known, precision, priors,
         made=spent.made, failed=[run for g in grounds for run in g.ground.failed],

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from axijax.core.files import write_whole
+from axijax.core.shown import Card, shown
 from calibrate.axes import Axis
 from calibrate.library import StoredRun
 from calibrate.parameters import Prior
 from calibrate.posterior import WIDE_STATE, Compared
-from calibrate.result import _without_nan
+from calibrate.result import FITTED, PREDICTED, _without_nan
 from calibrate.sampling import Sample
 from calibrate.study_verdict import (
     MATERIAL_RATIO,
@@ -32,6 +33,7 @@ SHARES = (0.025, 0.5, 0.975)
 LEAST_INSIDE = 0.75  # share of fitted data within their 95 % band; neighbouring windows differ alike
 
 
+@shown
 @dataclass(frozen=True)
 class Prediction:
     """One test: data and what is predicted, at S strains; compression positive, R and volumetric strain [-].
@@ -62,6 +64,7 @@ class Prediction:
     notes: tuple[str, ...] = ()
 
 
+@shown
 @dataclass(frozen=True)
 class StudyFit:
     """Result of a study of P parameters.
@@ -108,6 +111,18 @@ class StudyFit:
     @property
     def warnings(self) -> tuple[str, ...]:
         return tuple(each.sentence for each in self.verdicts)
+
+    def _card(self) -> Card:
+        found = {
+            name: f"{middle:.4g} (95 %: {low:.4g} to {high:.4g})"
+            for name, (low, middle, high) in self.intervals.items()
+        }
+        missed = {
+            f"{test.name}, {'predicted' if test.held_out else 'fitted'}": f"R misses by {100 * test.ratio_rms:.2g} %"
+            for test in self.predictions
+        }
+        rows = {"status": self.status, **found, **missed, "runs": f"{self.runs}, {self.made} of them new"}
+        return Card("StudyFit", rows, brief=("status", *found))
 
     def __str__(self) -> str:
         rows = [f"fit {self.status}"]
@@ -186,17 +201,17 @@ class StudyFit:
         for column, test in zip(axes.T, self.predictions, strict=True):
             rows = [("stress ratio R [-]", test.ratio, test.ratio_band, 1.0)]
             if test.volume is not None and test.volume_band is not None:
-                rows.append(("volumetric strain [%]", test.volume, test.volume_band, 100.0))
+                rows.append(("volumetric strain [%]\n(compression positive)", test.volume, test.volume_band, 100.0))
             for panel, (label, data, band, factor) in zip(column, rows, strict=False):
-                colour = "C1" if test.held_out else "C0"
+                colour = PREDICTED if test.held_out else FITTED
                 panel.fill_between(
                     100 * test.strain, factor * band[0], factor * band[2], color=colour, alpha=0.25, label="95 % band"
                 )
-                panel.plot(100 * test.strain, factor * band[1], colour, label="median")
+                panel.plot(100 * test.strain, factor * band[1], color=colour, label="median")
                 panel.plot(100 * test.strain, factor * data, "k.", ms=4, label="data")
                 panel.set(ylabel=label)
             column[0].set(title=f"{test.name}: {'predicted' if test.held_out else 'fitted'}")
-            column[0].legend(frameon=False, fontsize="small")
+            column[0].legend(frameon=False, fontsize=9)
             column[-1].set(xlabel="axial strain [%]")
         write_whole(Path(path), lambda target: figure.savefig(target, dpi=150))
         return Path(path)

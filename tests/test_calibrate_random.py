@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cli_in_process import axijax
 
-from axijax.app.case import load_case
+from axijax.app.case import Case, load_case
 from axijax.app.random_scene import random_scene
 from axijax.app.study_file import load_study
 from calibrate.measured import MeasuredCurve
@@ -195,3 +195,13 @@ def test_windows_of_a_measured_curve():
     wider = np.sqrt(np.diag(of_a_laboratory(nodes).noise))
     assert wider[ratio.size - 1] == pytest.approx(0.025 * np.log(ratio[-1]), rel=0.05)
     assert wider[-1] == pytest.approx(0.02 * nodes.strain[-1], rel=0.05)
+
+
+def test_a_speed_that_the_case_leaves_out_is_that_of_each_specimen():
+    """As `run` takes it; the parameters of a fit hold one number for all."""
+    case = Case(specimen={"kind": "random", "balls": 40}, sector={"order": 2}, parameters={"friction": 0.4})
+    made = random_scene(case).make(1, random_scene(case).params)
+    given = case.model_copy(update={"parameters": case.parameters.model_copy(update={"platen_speed": 0.01})})
+    assert random_scene(given).parts != random_scene(case).parts
+    alone = case.model_copy(update={"specimen": case.specimen.model_copy(update={"seed": 1})}).build()
+    assert float(made.params.platen_speed) == float(alone.params.platen_speed) != 0.01

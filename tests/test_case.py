@@ -313,7 +313,7 @@ def test_a_packing_that_does_not_settle_has_one_remedy(monkeypatch):
         def stops(*_, told=told, **__):
             raise RuntimeError(told)
 
-        case._packed.cache_clear()
+        case._PACKED.clear()
         monkeypatch.setattr(random_packing, "random_cylinder", stops)
         with pytest.raises(RuntimeError) as raised:
             default_case("random").made()

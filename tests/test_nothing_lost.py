@@ -68,7 +68,7 @@ def test_a_second_run_into_the_folder_is_refused_while_the_first_still_packs(tmp
     case, out = write(tmp_path / "tiny.toml", TINY), tmp_path / "out"
     made, second = Case.made, []
 
-    def packing(self):
+    def packing(self, *told):
         if not second:
             second.append(axijax("run", case, "--output", out, "--overwrite"))
         return made(self)
@@ -82,7 +82,7 @@ def test_a_second_run_into_the_folder_is_refused_while_the_first_still_packs(tmp
 
 
 def test_ctrl_c_while_packing_leaves_nothing(tmp_path, monkeypatch):
-    def packing(self):
+    def packing(self, *told):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Case, "made", packing)
@@ -170,7 +170,7 @@ class TestAPictureThatFails:
         assert (tmp_path / "out" / "curve.png").exists() and "$\\frac$" in (tmp_path / "out" / "curve.csv").read_text()
         figure = plot.curve_figure([replace(open_result(finished), name="$5 $\\frac$")])
         plot.save_figure(figure, tmp_path / "a.png")
-        shown = figure.axes[0].get_legend().get_texts()[0].get_text()
+        shown = figure.legends[0].get_texts()[0].get_text()
         assert shown.replace(r"\$", "$") == "$5 $\\frac$"
 
 

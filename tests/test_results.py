@@ -72,7 +72,7 @@ def test_curve_comes_back_from_every_file(result, folder):
     np.testing.assert_array_equal(measured.stress_ratio, curve.stress_ratio.values)
     np.testing.assert_array_equal(measured.volumetric_strain, curve.volumetric_strain.values)
     seen = result.progress.records
-    np.testing.assert_array_equal(seen.core_ratio[: curve.sizes["record"]], curve.core_ratio.values)
+    np.testing.assert_array_equal(seen.core_ratio[: curve.sizes["axial_strain"]], curve.core_ratio.values)
     assert float(curve.confinement_stress_error) == float(result.progress.confinement.stress_error) < 1e-6
 
 

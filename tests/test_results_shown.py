@@ -275,7 +275,7 @@ class Page(HTMLParser):
         if tag not in ("meta", "img", "br"):
             self.open.append(tag)
         for name, value in attributes:
-            if name in ("src", "href") and not value.startswith("data:image/png;base64,"):
+            if name in ("src", "href") and not value.startswith(("data:image/png;base64,", "#")):
                 self.fetched.append(value)
         self.images += tag == "img"
 

@@ -39,9 +39,11 @@ from axijax.app.batch_files import (
 from axijax.app.executors import spread
 from axijax.core.parallel import cores, parallel
 from axijax.core.quantity import declared, optional_parts, parts_of, values_of
+from axijax.core.shown import Card, shown
 from axijax.mechanics.params import Params, check_params
 from axijax.mechanics.time_step import check_step, critical_time_step
 from axijax.triaxial.many import simulate_many
+from axijax.triaxial.peak import peak_of
 from axijax.triaxial.progress import Progress
 from axijax.triaxial.records import Curve, records_of, warn_of_chatter
 from axijax.triaxial.stages import simulate
@@ -52,6 +54,7 @@ __all__ = [
 ]  # fmt: skip
 
 Strategy = Literal["auto", "threads", "vmap"]
+SHOWN = 20  # members in a notebook's table, at most
 CHUNK = 128  # most tests in one vmap; about 1 MB each for 430 balls
 
 Item = TypeVar("Item")
@@ -92,6 +95,7 @@ class Outcome:
     resumed: bool = False
 
 
+@shown
 @dataclass(frozen=True)
 class BatchResult:
     """The members of a batch that this process ran or found done, in their order."""
@@ -107,6 +111,14 @@ class BatchResult:
     def failures(self) -> dict[str, str]:
         """Why the others have none, by name."""
         return {o.member.name: o.failure for o in self.outcomes if o.failure is not None}
+
+    def _card(self) -> Card:
+        peaks = {name: peak_of(curve).short for name, curve in itertools.islice(self.curves.items(), SHOWN)}
+        more = len(self.curves) - len(peaks)
+        rows = {"members": str(len(self.outcomes)), "failed": str(len(self.failures)), **peaks}
+        rows |= {"and": f"{more} more"} if more > 0 else {}
+        rows |= dict(itertools.islice(self.failures.items(), SHOWN))
+        return Card("BatchResult", rows, brief=("members", "failed"))
 
     def dataset(self):
         """The curves as an xarray.Dataset with dimensions (member, record), as `open_batch` gives it."""

@@ -104,13 +104,17 @@ def open_folder(folder: Path) -> Path:
 
 
 def open_batch(folder: Path | str) -> "xarray.Dataset":
-    """All finished members of a batch's folder, sorted by name: curves over (member, record), labels, parameters and
-    peaks over (member,). Raises ValueError where there are none.
+    """All finished members of a batch's folder, sorted by their labels, numbers as numbers: curves over (member,
+    record), axial_strain among the coordinates, labels, parameters and peaks over (member,).
+
+        open_batch("sweep").stress_ratio.plot.line(x="axial_strain", hue="member")
+
+    Raises ValueError where there are none.
     """
     files = _files(Path(folder))
     if not files:
         raise ValueError(f"folder '{folder}' holds no finished member of a batch.")
-    return joined([_load(file) for file in files])
+    return joined(sorted(map(_load, files), key=_place))
 
 
 def read_member(folder: Path, wanted: Stored) -> Stored | None:
@@ -157,7 +161,7 @@ def write_summary(folder: Path) -> None:
         files, failed = _files(folder), sorted((folder / MEMBERS).glob(f"[!.]*{FAILED}"))
         rows: list[dict[str, Any]] = []
         names: dict[str, None] = {}
-        for data in map(_load, files):
+        for data in sorted(map(_load, files), key=_place):
             labels = json.loads(data.attrs["labels"])
             names |= dict.fromkeys(labels)
             values = {name: data[name].values.tolist()[0] for name in (*labels, *PEAK, "seconds")}
@@ -177,6 +181,19 @@ def slug(name: str) -> str:
 def identity(test: TriaxialTest, params: Params) -> dict[str, str]:
     """All that decides a curve: the test, the parameters of this member, the versions of axijax and jax."""
     return {**versions(), **fingerprint(test), **fingerprint(params, "parameters")}
+
+
+def _place(data: "xarray.Dataset") -> list[list[tuple[int, float, str]]]:
+    """By what a member is sorted: its labels in their order, numbers before texts, and then its name."""
+    labels = [data[name].values.tolist()[0] for name in json.loads(data.attrs["labels"])]
+    parts = [*labels, str(data.member.values[0])]
+    return [natural(part) if isinstance(part, str) else [(0, float(part), "")] for part in parts]
+
+
+def natural(text: str) -> list[tuple[int, float, str]]:
+    """A text as a key that sorts the numbers in it as numbers: 'seed=2' before 'seed=10'."""
+    parts = re.split(r"(\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)", text)
+    return [(0, float(part), "") if place % 2 else (1, 0.0, part) for place, part in enumerate(parts)]
 
 
 def _identity_in(file: Path, data: "xarray.Dataset") -> Any:

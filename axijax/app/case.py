@@ -19,7 +19,7 @@ they exist once.
 
 import inspect
 import math
-from functools import lru_cache
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
 
@@ -255,8 +255,10 @@ class Case(Section):
             **options,
         )
 
-    def made(self) -> "tuple[Case, Specimen, PackingReport | None]":
+    def made(self, packing: Callable[[str], None] | bool = False) -> "tuple[Case, Specimen, PackingReport | None]":
         """The case with what it leaves to its specimen filled in, the specimen, and what a random one has become.
+
+        packing: of `random_cylinder`, as its progress.
 
         Raises ValueError where the fields do not fit one another; RuntimeError where a random one does not settle.
         """
@@ -273,9 +275,8 @@ class Case(Section):
         stiffness = {"normal_stiffness", "shear_stiffness", "shear_modulus", "poisson_ratio"}
         wanted = {*stiffness, "confining_stress", "density", "damping_ratio"}
         material = self.parameters.model_dump(include=wanted & set(self.scene.takes()))
-        specimen, report = _packed(
-            self.specimen.model_dump_json(), self.sector.model_dump_json(), tuple(material.items())
-        )
+        made_of = self.specimen.model_dump_json(), self.sector.model_dump_json(), tuple(material.items())
+        specimen, report = _packed(*made_of, packing)
         case = self.with_test(confining_friction=report.compaction_friction if friction is None else friction)
         return case._slow(specimen), specimen, report
 
@@ -294,8 +295,27 @@ class Case(Section):
         return self.model_copy(update={"test": self.test.model_copy(update=changes)})
 
 
-@lru_cache(maxsize=8)  # a sweep's members share a specimen
-def _packed(specimen: str, sector: str, material: tuple[tuple[str, Any], ...]) -> "tuple[Specimen, PackingReport]":
+# A sweep's members share a specimen.
+_PACKED: "dict[tuple, tuple[Specimen, PackingReport]]" = {}
+MOST_PACKED = 8
+
+
+def _packed(
+    specimen: str, sector: str, material: tuple[tuple[str, Any], ...], packing: Callable[[str], None] | bool = False
+) -> "tuple[Specimen, PackingReport]":
+    """A random specimen, from sections in JSON, made once. packing: is told what goes on."""
+    made_of = specimen, sector, material
+    if made_of not in _PACKED:
+        made = _pack(specimen, sector, material, packing)
+        while len(_PACKED) >= MOST_PACKED:
+            _PACKED.pop(next(iter(_PACKED)))
+        _PACKED[made_of] = made
+    return _PACKED[made_of]
+
+
+def _pack(
+    specimen: str, sector: str, material: tuple[tuple[str, Any], ...], packing: Callable[[str], None] | bool
+) -> "tuple[Specimen, PackingReport]":
     """A random specimen, from sections in JSON."""
     from axijax.specimen.grading import linear, sieve_curve
     from axijax.triaxial.random_specimen import random_cylinder
@@ -311,7 +331,7 @@ def _packed(specimen: str, sector: str, material: tuple[tuple[str, Any], ...]) -
     ours = Sector(**SectorCase.model_validate_json(sector).model_dump())
     params = Params(Hertz() if "shear_modulus" in dict(material) else None, **dict(material))
     try:
-        return random_cylinder(sector=ours, grading=grading, params=params, **options)
+        return random_cylinder(sector=ours, grading=grading, params=params, progress=packing, **options)
     except RuntimeError as error:
         told = str(error).rpartition(": ")[0]  # its own remedy is for callers of the function
         raise RuntimeError(

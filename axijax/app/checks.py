@@ -72,7 +72,7 @@ def _at_most(name: str, value, limit: float, meaning: str) -> Check:
 def _curve_checks(result: Result) -> list[Check]:
     curve = result.curve
     peak = peak_of(curve)
-    there = curve.isel(record=peak.record)
+    there = curve.isel(axial_strain=peak.record)
     place = "the peak" if peak.reached else "the largest stress ratio"
     checks = [_peak_check(peak)]
     try:

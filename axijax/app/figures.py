@@ -11,6 +11,7 @@ from matplotlib.collections import EllipseCollection, LineCollection, PolyCollec
 from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 
+from axijax.app.labels import LETTERS, readable
 from axijax.app.snapshot import Snapshot
 
 STUCK, SLIDING, OWN, IMAGE = "#0072B2", "#D55E00", "#0072B2", "#B8B8B8"
@@ -25,7 +26,7 @@ def force_network(seen: Snapshot) -> Figure:
     start, end = _to_section(seen, contacts.start), _to_section(seen, contacts.end)
     shown = _in_section((start[1] + end[1]) / 2, unit)
     mean = float(np.average(contacts.normal_force, weights=contacts.share)) if contacts.first.size else 1.0
-    figure, axes = _figure(seen, (7.5, 8), "contact forces in a vertical section")
+    figure, axes = _figure(seen, (5.6, 6.6), "contact forces in a vertical section")
     _circles(axes, seen, unit)
     for sliding, colour in ((False, STUCK), (True, SLIDING)):
         part = np.flatnonzero(shown & (contacts.sliding == sliding))
@@ -37,8 +38,8 @@ def force_network(seen: Snapshot) -> Figure:
     for size in (0.5, 1, 2):
         axes.plot([], [], color="0.4", lw=2.5 * size, label=f"{size:g} x mean ({size * mean:.2g} [F])")
     _frame(axes, seen, unit)
-    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1), frameon=False, title="width: normal force", fontsize=9)
-    return figure
+    figure.legend(loc="outside lower center", ncols=2, frameon=False, title="width: normal force", fontsize=LETTERS)
+    return readable(figure)
 
 
 def fabric_rose(seen: Snapshot) -> Figure:
@@ -48,8 +49,8 @@ def fabric_rose(seen: Snapshot) -> Figure:
     inclination = np.arctan2(np.abs(contacts.normal[2]), np.hypot(*contacts.normal[:2]))
     edges = np.linspace(0, np.pi / 2, ROSE_BINS + 1)
     share = np.diff(np.sin(edges))  # of the half sphere between two inclinations
-    figure = Figure(figsize=(9, 5), layout="constrained")
-    figure.suptitle(f"fabric: contact normals by their angle above the horizontal\n{_moment(seen)}", fontsize=11)
+    figure = Figure(figsize=(7.5, 5.4), layout="constrained")
+    figure.suptitle(f"fabric: contact normals by their angle above the horizontal\n{_moment(seen)}", fontsize=LETTERS)
     weights = (("number", contacts.share), ("normal force", contacts.share * contacts.normal_force))
     for place, (name, weight) in enumerate(weights):
         axes = figure.add_subplot(1, 2, place + 1, projection="polar", rlabel_position=292.5)
@@ -62,12 +63,11 @@ def fabric_rose(seen: Snapshot) -> Figure:
             )
         ring = np.linspace(0, 2 * np.pi, 181)
         axes.plot(ring, np.ones_like(ring), "--", color=SLIDING, lw=1.4, label="isotropic = 1")
-        axes.set_title(f"weighted by {name}", fontsize=11)
+        axes.set_xlabel(f"weighted by {name}", labelpad=10)
         axes.set_xticks(np.deg2rad([0, 30, 60, 90, 120, 150, 180, 210, 240, 270, 300, 330]))
         axes.set_xticklabels(["0°", "30°", "60°", "90°\n(vertical)", *[""] * 8])
-        axes.tick_params(axis="y", labelsize=8)
-    axes.legend(loc="lower right", bbox_to_anchor=(1.12, -0.12), frameon=False, fontsize=9)
-    return figure
+    axes.legend(loc="lower right", bbox_to_anchor=(1.12, -0.24), frameon=False, fontsize=LETTERS)
+    return readable(figure)
 
 
 def membrane_cells(seen: Snapshot) -> Figure:
@@ -75,7 +75,7 @@ def membrane_cells(seen: Snapshot) -> Figure:
     membrane = seen.membrane
     if not membrane.polygons:
         raise ValueError("membrane-cells: this test is loaded without a membrane, so there are no cells to draw.")
-    figure, axes = _figure(seen, (10, 5.2), "membrane cells on the unfolded cylinder (dots: balls)")
+    figure, axes = _figure(seen, (8, 4.6), "membrane cells on the unfolded cylinder (dots: balls)")
     width = membrane.radius * seen.sector.angle
     turns = seen.sector.images
     # Cells across the ends of the unfolded cylinder are shown at both.
@@ -100,7 +100,7 @@ def membrane_cells(seen: Snapshot) -> Figure:
         "top", functions=(lambda x: np.rad2deg(x / membrane.radius), lambda d: np.deg2rad(d) * membrane.radius)
     )
     degrees.set_xlabel("angle [degrees]")
-    return figure
+    return readable(figure)
 
 
 def section(seen: Snapshot) -> Figure:
@@ -115,7 +115,7 @@ def section(seen: Snapshot) -> Figure:
     middle = (bottom + top) / 2
     cut, level = _in_section(place[1], unit), np.abs(z - middle) < 1.01 * unit
     scale = Normalize(0, float(np.quantile(stress[cut | level], 0.98)) if (cut | level).any() else 1.0)
-    figure = Figure(figsize=(12, 6.4), layout="constrained")
+    figure = Figure(figsize=(8.5, 5.4), layout="constrained")
     figure.suptitle(f"specimen in section, {_moment(seen)}")
     upright, plan = figure.subplots(1, 2)
     for axes, across, up, depth, shown in ((upright, place[0], z, -place[1], cut), (plan, x, y, z, level)):
@@ -145,12 +145,12 @@ def section(seen: Snapshot) -> Figure:
         aspect="equal", title="plan at mid-height", xlabel="x [L]", ylabel="y [L]",
         xlim=(least - edge, reach + edge), ylim=(least - edge, reach + edge),
     )  # fmt: skip
-    plan.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3, frameon=False, fontsize=9)
+    plan.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, frameon=False, fontsize=LETTERS)
     figure.colorbar(
         matplotlib.cm.ScalarMappable(scale, "cividis"), ax=[upright, plan], shrink=0.75, pad=0.015, extend="max",
         label="mean stress of a ball / confining stress [-]",
     )  # fmt: skip
-    return figure
+    return readable(figure)
 
 
 def specimen(seen: Snapshot) -> Figure:
@@ -162,7 +162,7 @@ def specimen(seen: Snapshot) -> Figure:
     right = np.array([-np.sin(view), np.cos(view), 0.0])
     towards = np.array([np.cos(rise) * np.cos(view), np.cos(rise) * np.sin(view), np.sin(rise)])
     up = np.cross(towards, right)
-    figure, axes = _figure(seen, (7.5, 8), "specimen")
+    figure, axes = _figure(seen, (5.6, 6.2), "specimen")
     bottom, top = seen.platens.heights
     reach = _reach(seen)
 
@@ -196,12 +196,12 @@ def specimen(seen: Snapshot) -> Figure:
     axes.plot([], [], "o", color=OWN, ms=9, label=f"simulated: {own} balls")
     if images:
         axes.plot([], [], "o", color=IMAGE, ms=9, label=f"images: {images}")
-    axes.legend(loc="upper left", bbox_to_anchor=(0, 0.02), ncols=2, frameon=False)
+    axes.legend(loc="upper left", bbox_to_anchor=(0, 0.02), ncols=2, frameon=False, fontsize=LETTERS)
     axes.set_aspect("equal")
     axes.margins(0.02 + 0.1 * unit / reach)
     axes.autoscale_view()
     axes.set_axis_off()
-    return figure
+    return readable(figure)
 
 
 # What `axijax plot --kind` draws of a last state.
@@ -221,7 +221,7 @@ def _moment(seen: Snapshot) -> str:
 def _figure(seen: Snapshot, size: tuple[float, float], title: str):
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.add_subplot()
-    axes.set_title(f"{title}\n{_moment(seen)}", fontsize=11)
+    axes.set_title(f"{title}\n{_moment(seen)}", fontsize=LETTERS)
     return figure, axes
 
 

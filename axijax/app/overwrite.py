@@ -18,6 +18,7 @@ CURVES = ("curve.nc", "curve.csv", "curve.png", "partial_curve.nc")
 # In the order in which they are removed: what is left at any moment tells no more than is true.
 FILES = (*CURVES, "checkpoint.npz", "case.toml", NAME)
 SNAPSHOTS = ("snapshots", "snapshots-full")
+PICTURES, REPORT = "pictures", "report.html"  # where `axijax plot` and `axijax report` write by default
 SHOWN = 20  # names in a sentence
 
 
@@ -61,6 +62,20 @@ def clear(folder: Path) -> None:
             remove_leftovers(folder / name)
             if not any((folder / name).iterdir()):
                 (folder / name).rmdir()
+
+
+def remove_stale(folder: Path) -> list[str]:
+    """Remove what `axijax plot` and `axijax report` make of a result by default, which a run that goes on would leave
+    behind; the names."""
+    names = [REPORT]
+    if (folder / PICTURES).is_dir():
+        from axijax.app.plot import KNOWN  # Matplotlib only where it has drawn
+
+        names += [f"{PICTURES}/{kind}.{end}" for kind, end in KNOWN.items()]
+    stale = [name for name in names if (folder / name).is_file()]
+    for name in stale:
+        (folder / name).unlink()
+    return stale
 
 
 def _contents(folder: Path) -> tuple[list[str], list[str]]:

@@ -11,14 +11,19 @@ import numpy as np
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 
-from axijax.app import soil_figures
-from axijax.app.labels import Measured, case_of, labels, line_of, plain, thornton_ratio
+from axijax.app import figures, soil_figures
+from axijax.app.animation import save_animation
+from axijax.app.labels import LETTERS, Measured, case_of, labels, line_of, plain, readable, thornton_ratio
 from axijax.app.results import Result, open_result
+from axijax.app.snapshot import snapshot
 from axijax.core.files import draw_afterwards, writable_folder, write_whole
+from axijax.core.palette import COLOURS
 from axijax.triaxial.progress import Run
 from axijax.triaxial.test import TriaxialTest
 
-FRICTION_COLOURS = {0.05: "#2a9d8f", 0.12278: "#1d3557", 0.2: "#e9a23b", 0.3: "#c1440e"}
+# Colour is friction, style the boundary.
+FRICTION_COLOURS = dict(zip((0.12278, 0.3, 0.05, 0.2), COLOURS, strict=False))
+MARKERS = "s^DvPX*"
 
 
 def save_figure(figure: Figure, path: Path) -> None:
@@ -40,17 +45,15 @@ def stress_ratio_figure(rows) -> Figure:
             "rigid": f"quarter, rigid planes, f = {run.friction:g}",
             "full": f"full cylinder, forces fixed, f = {run.friction:g}",
         }[run.boundary]
-        full = run.boundary == "full"
         axes.plot(
-            100 * np.asarray(curve.axial_strain), curve.stress_ratio, styles[run.boundary],
-            color="#e63946" if full else colour, lw=2.2 if full else 1.6, label=label, zorder=3 if full else 2,
+            100 * np.asarray(curve.axial_strain), curve.stress_ratio, styles[run.boundary], color=colour, lw=1.6,
+            label=label, zorder=2,
         )  # fmt: skip
         strain, ratio = np.asarray(curve.axial_strain), np.asarray(curve.stress_ratio)
         start, end = row.flat
         flat = ~(strain < start) & ~(strain > end) & (strain <= 0.01)  # an open side goes to the end
         axes.plot(
-            100 * strain[flat], ratio[flat], color="#e63946" if full else colour, lw=8, alpha=0.25,
-            solid_capstyle="butt", zorder=1,
+            100 * strain[flat], ratio[flat], color=colour, lw=8, alpha=0.25, solid_capstyle="butt", zorder=1,
         )  # fmt: skip
         axes.plot(
             100 * run.paper_strain, run.paper, "o" if run.boundary == "periodic" else "s",
@@ -59,7 +62,7 @@ def stress_ratio_figure(rows) -> Figure:
         if run.boundary == "periodic":
             axes.axhline(run.theory, color=colour, lw=0.8, alpha=0.6)
             name = f"Thornton, f = {run.friction:g}"
-            axes.text(0.985, run.theory + 0.02, name, color=colour, size=8, ha="right")
+            axes.text(0.985, run.theory + 0.02, name, color=colour, size=9, ha="right")
     axes.plot([], [], color="grey", lw=8, alpha=0.25, label="within 0.3 % of the peak")
     axes.plot([], [], "o", color="grey", label="paper's peaks, periodic planes")
     axes.plot([], [], "s", color="grey", mfc="white", label="paper's peaks, rigid planes and full system")
@@ -68,7 +71,7 @@ def stress_ratio_figure(rows) -> Figure:
         title="FCC specimen, triaxial compression (Cui & O'Sullivan 2005, figure 4a)\n"
         + (f"stiffness 1.5e9 read as the {rows[0].stiffness}'s" if rows else ""),
     )  # fmt: skip
-    axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
+    axes.legend(fontsize=9, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
     axes.grid(alpha=0.3)
     return figure
 
@@ -76,15 +79,17 @@ def stress_ratio_figure(rows) -> Figure:
 def curve_figure(results: Sequence[Result], data: Measured | None = None) -> Figure:
     """Stress ratio and volumetric strain against axial strain, one line a run; Thornton's stress ratio where the
     specimen is an FCC array; measured data as points."""
-    figure = Figure(figsize=(7.5, 7.5), layout="constrained")
+    figure = Figure(figsize=(5.6, 6.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     lines: dict[str, tuple[float, str]] = {}
     for number, (result, name) in enumerate(zip(results, labels(results), strict=True)):
         curve, case = result.curve, case_of(result)
         strain = 100 * curve.axial_strain.values
-        # Thinner from one to the next, so that runs that coincide still show.
-        width = 1.6 + 1.6 * (len(results) - 1 - number) / max(len(results) - 1, 1)
-        line = {**line_of(number), "lw": width}
+        line = {**line_of(number), "lw": 1.6}
+        if len(results) > 1:  # marks, each line's at its own places, so that runs that coincide still show
+            every = max(strain.size // 8, 1)
+            shift = number * every // len(results)
+            line |= {"marker": MARKERS[number % len(MARKERS)], "ms": 4.5, "markevery": (shift, every)}
         upper.plot(strain, curve.stress_ratio.values, label=plain(name), **line)
         lower.plot(strain, 100 * curve.volumetric_strain.values, **line)
         ratio = None if case is None else thornton_ratio(case)
@@ -101,15 +106,22 @@ def curve_figure(results: Sequence[Result], data: Measured | None = None) -> Fig
         if data.volumetric_strain is not None:
             lower.plot(100 * data.axial_strain, 100 * data.volumetric_strain, **points)
     upper.set(ylabel="stress ratio s1/s3 [-]")
-    upper.legend(frameon=False)
+    handles, names = upper.get_legend_handles_labels()
+    columns = 2 if len(names) > 2 and max(map(len, names)) < 34 else 1
+    figure.legend(handles, names, loc="outside lower center", ncols=columns, frameon=False, fontsize=LETTERS)
     lower.set(xlabel="axial strain [%]", ylabel="volumetric strain [%]\n(compression positive)")
     for axes in (upper, lower):
         axes.grid(alpha=0.3)
-    return figure
+    return readable(figure)
 
 
 # What `axijax plot --kind` draws of curves, all results in one picture.
 CURVES = {"curve": curve_figure, **soil_figures.KINDS}
+
+
+# Every picture, and how its file's name ends.
+ANIMATION = "animation"
+KNOWN = {**dict.fromkeys((*CURVES, *figures.KINDS), "png"), ANIMATION: "gif"}
 
 
 def plot_result(
@@ -117,8 +129,8 @@ def plot_result(
 ) -> list[Path]:
     """Draw results as PNG files and return their paths.
 
-    kinds: of `CURVES`, all results in one picture ("curve", "q-eps", ..), and of `pictures.KINDS`, one picture a
-        result: "force-network", "fabric-rose", "membrane-cells", "section", "specimen".
+    kinds: of `CURVES`, all results in one picture ("curve", "q-eps", ..), and of `figures.KINDS`, one picture a
+        result: "force-network", "fabric-rose", "membrane-cells", "section", "specimen"; and "animation", a GIF.
     output: a file where one picture is made; otherwise a folder, made where it is missing.
     data: measured curve for the pictures against strain, and for "stress-dilatancy".
 
@@ -127,15 +139,11 @@ def plot_result(
     Raises ValueError for an unknown kind, for several pictures in one file, for a result without a last state, and
     where no picture could be drawn.
     """
-    from axijax.app import figures as pictures
-    from axijax.app.snapshot import snapshot
-
     kinds = list(dict.fromkeys(kinds))
-    known = (*CURVES, *pictures.KINDS)
     for kind in kinds:
-        if kind not in known:
-            near = difflib.get_close_matches(kind, known, n=1, cutoff=0.4)
-            hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}."
+        if kind not in KNOWN:
+            near = difflib.get_close_matches(kind, KNOWN, n=1, cutoff=0.4)
+            hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(KNOWN)}."
             raise ValueError(f"kind = '{kind}' is no picture; {hint}")
     count = sum(1 if kind in CURVES else len(results) for kind in kinds)
     if output.suffix and count > 1:
@@ -145,8 +153,11 @@ def plot_result(
     missing: list[str] = []
 
     def save(make: Callable[[], Figure], name: str) -> None:
-        path = output if output.suffix else output / f"{name}.png"
-        problem = draw_afterwards(path.name, lambda: save_figure(make(), path))
+        note(name, "png", lambda path: save_figure(make(), path))
+
+    def note(name: str, end: str, write: Callable[[Path], object]) -> None:
+        path = output if output.suffix else output / f"{name}.{end}"
+        problem = draw_afterwards(path.name, lambda: write(path))
         if problem is None:
             paths.append(path)
         else:
@@ -155,15 +166,18 @@ def plot_result(
     for kind in kinds:
         if kind in CURVES:
             save(partial(CURVES[kind], results, data), kind)
-    drawn = [kind for kind in kinds if kind not in CURVES]
+    drawn = [kind for kind in kinds if kind in figures.KINDS]
     names = [result.name for result in results]
     for number, result in enumerate(results):
-        if not drawn:
-            break
-        seen = snapshot(result.test, result.progress, full=True)
         unique = names[number] if names.count(names[number]) == 1 else f"{names[number]}-{number + 1}"
+        before = "" if len(results) == 1 else f"{unique}-"
+        if ANIMATION in kinds:
+            note(f"{before}{ANIMATION}", "gif", partial(save_animation, result))
+        if not drawn:
+            continue
+        seen = snapshot(result.test, result.progress, full=True)
         for kind in drawn:
-            save(partial(pictures.KINDS[kind], seen), kind if len(results) == 1 else f"{unique}-{kind}")
+            save(partial(figures.KINDS[kind], seen), f"{before}{kind}")
     if not paths:
         raise ValueError("; ".join(missing) + ".")
     for problem in missing:
@@ -233,16 +247,16 @@ def deformed_figure(test: TriaxialTest, run: Run) -> Figure:
     lines = np.flatnonzero(cut_open)
     section.quiver(
         x[lines] / unit, z[lines] / unit, moved[0][lines] / unit, moved[2][lines] / unit,
-        angles="xy", scale_units="xy", scale=1, width=0.003, color="#1d3557",
+        angles="xy", scale_units="xy", scale=1, width=0.003, color=COLOURS[0],
     )  # fmt: skip
     reach = 12.0
     for k in range(sector.order):
         angle = k * sector.angle
-        plan.plot([0, reach * np.cos(angle)], [0, reach * np.sin(angle)], "--", color="#1d3557", lw=1)
+        plan.plot([0, reach * np.cos(angle)], [0, reach * np.sin(angle)], "--", color="black", lw=1)
     ring = np.linspace(0, 2 * np.pi, 181)
     membrane = float(curve.membrane_radius[-1]) / unit
-    plan.plot(membrane * np.cos(ring), membrane * np.sin(ring), color="#2a9d8f", lw=1, label="membrane radius Rm")
-    plan.legend(loc="lower right", fontsize=8)
+    plan.plot(membrane * np.cos(ring), membrane * np.sin(ring), color=COLOURS[2], lw=1, label="membrane radius Rm")
+    plan.legend(loc="lower right", fontsize=10)
     plan.set(xlim=(-12.5, 12.5), ylim=(-12.5, 12.5), ylabel="y / r")
     figure.colorbar(
         matplotlib.cm.ScalarMappable(colours, "YlOrRd"), ax=[outside, section, plan], shrink=0.7, pad=0.01,

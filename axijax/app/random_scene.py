@@ -19,6 +19,8 @@ class CaseMaker:
     def __call__(self, seed: int, params: Params) -> TriaxialTest:
         case = Case.model_validate_json(self.case)
         values = {name: float(value) for name, value in values_of(params).items()}
+        if case.parameters.platen_speed is None:  # that of each specimen, as `run` takes it
+            values.pop("platen_speed", None)
         parameters = case.parameters.model_validate(values)
         specimen = case.specimen.model_copy(update={"seed": seed})
         return case.model_copy(update={"specimen": specimen, "parameters": parameters}).build()
@@ -35,6 +37,8 @@ def random_scene(case: Case) -> RandomScene:
             "fitted by derivatives, with its case file behind --case."
         )
     sections = case.model_dump()
+    if case.parameters.platen_speed is None:  # one number for all is another scene
+        sections["rate"] = "of each specimen"
     del sections["parameters"], sections["specimen"]["seed"], sections["test"]["axial_strain"]
     if case.specimen.grading is not None:  # the numbers, not the place of the file
         from axijax.specimen.grading import sieve_curve

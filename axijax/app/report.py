@@ -43,6 +43,10 @@ CAPTIONS = {
     "its cell.",
 }
 
+BROADLY = ' class="broad"'
+# As wide as the page; on a telephone they are moved sideways, so that their letters can be read.
+BROAD = ("section", "fabric-rose", "membrane-cells")
+
 SOIL = {
     "friction-dilatancy": "Mobilised friction angle, sin(phi) = (R - 1)/(R + 1), and dilatancy rate.",
     "stress-dilatancy": "Stress ratio against dilatancy, and Rowe's line R = K D with K = tan²(45° + phi/2).",
@@ -57,17 +61,28 @@ VERDICTS = {
 }
 
 STYLE = """
-:root { color-scheme: light; }
-body { font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; color: #1b1f23;
-  background: #fff; max-width: 62rem; margin: 2.5rem auto; padding: 0 1.5rem; }
+:root { color-scheme: light dark; --text: #1b1f23; --page: #fff; --quiet: #57606a; --line: #d0d7de; --thin: #eaeef2;
+  --box: #f6f8fa; --good: #1a7f37; --bad: #b35900; --warn: #fff8f0; --link: #0059a8; }
+@media (prefers-color-scheme: dark) { :root { --text: #e6e9ec; --page: #14171a; --quiet: #a3acb5; --line: #3a4149;
+  --thin: #2a3036; --box: #1f2429; --good: #56d364; --bad: #ffa657; --warn: #2b2117; --link: #79b8ff; } }
+body { font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; color: var(--text);
+  background: var(--page); max-width: 62rem; margin: 2.5rem auto; padding: 0 1.5rem; }
 h1 { font-size: 1.9rem; line-height: 1.2; margin: 0 0 .3rem; }
-h2 { font-size: 1.3rem; margin: 2.6rem 0 .6rem; padding-bottom: .25rem; border-bottom: 1px solid #d0d7de; }
+h2 { font-size: 1.3rem; margin: 2.6rem 0 .6rem; padding-bottom: .25rem; border-bottom: 1px solid var(--line); }
 h3 { font-size: 1.05rem; margin: 1.6rem 0 .3rem; }
-p.lead, figcaption, .note { color: #57606a; }
+a { color: var(--link); }
+p.lead, figcaption, .note { color: var(--quiet); }
 .note { font-size: .9rem; }
 table { border-collapse: collapse; margin: .6rem 0; font-variant-numeric: tabular-nums; }
-th, td { text-align: left; vertical-align: top; padding: .28rem 1rem .28rem 0; border-bottom: 1px solid #eaeef2; }
-thead th { border-bottom: 1px solid #8c959f; font-weight: 600; }
+th, td { text-align: left; vertical-align: top; padding: .28rem 1rem .28rem 0; border-bottom: 1px solid var(--thin);
+  overflow-wrap: break-word; }
+td .passed, td .failed { white-space: nowrap; }
+th { overflow-wrap: normal; }
+.wide { overflow-x: auto; }
+nav { columns: 2 14rem; margin: 1.2rem 0; }
+nav a { display: block; padding: .12rem 0; }
+summary { cursor: pointer; }
+thead th { border-bottom: 1px solid var(--quiet); font-weight: 600; }
 td.number { text-align: right; white-space: nowrap; }
 th.number { text-align: right; }
 table.inputs { width: 100%; }
@@ -75,16 +90,25 @@ table.inputs th:nth-child(1) { width: 13rem; } table.inputs th:nth-child(2) { wi
 .figures { display: flex; flex-wrap: wrap; gap: 1.2rem 2rem; margin: 1.4rem 0; }
 .figures div { min-width: 8rem; }
 .figures b { display: block; font-size: 1.5rem; line-height: 1.25; font-weight: 600; }
-.figures span { font-size: .88rem; color: #57606a; }
+.figures span { font-size: .88rem; color: var(--quiet); }
 figure { margin: 1.4rem 0; break-inside: avoid; }
-figure img { max-width: 100%; max-height: 42rem; display: block; }
+figure img { max-width: 100%; max-height: 46rem; display: block; background: #fff; border-radius: 4px; }
 .beside { display: flex; flex-wrap: wrap; gap: 1rem 2.5rem; align-items: flex-end; }
-.beside figure { max-width: 30rem; } .beside img { max-height: 34rem; }
+.beside figure { max-width: 29rem; } .beside img { max-height: 36rem; }
 figcaption { font-size: .9rem; margin-top: .4rem; }
-.passed { color: #1a7f37; } .failed { color: #b35900; font-weight: 600; }
-.warning { border-left: 4px solid #b35900; padding: .5rem 1rem; background: #fff8f0; }
-pre { background: #f6f8fa; padding: .8rem 1rem; overflow-x: auto; font-size: .85rem; line-height: 1.4; }
-@media print { body { margin: 0; max-width: none; font-size: 10.5pt; } h2 { break-after: avoid; }
+.passed { color: var(--good); } .failed { color: var(--bad); font-weight: 600; }
+.warning { border-left: 4px solid var(--bad); padding: .5rem 1rem; background: var(--warn); }
+pre { background: var(--box); padding: .8rem 1rem; overflow-x: auto; font-size: .85rem; line-height: 1.4; }
+@media (max-width: 40rem) { body { margin: 1.2rem auto; padding: 0 .8rem; } h1 { font-size: 1.5rem; }
+  .figures { display: grid; grid-template-columns: 1fr 1fr; gap: .7rem 1rem; }
+  .figures div { min-width: 0; } .figures b { font-size: 1.15rem; }
+  figure.broad { overflow-x: auto; } figure.broad img { max-width: none; width: 40rem; }
+  .folding tr { display: block; padding: .4rem 0; border-bottom: 1px solid var(--thin); }
+  .folding thead { display: none; } .folding td, .folding td.number { display: block; border: 0; text-align: left;
+    padding: 0; white-space: normal; } .folding td:first-child { font-weight: 600; } }
+@media print { :root { color-scheme: light; --text: #000; --page: #fff; --quiet: #444; --box: #f6f8fa; --link: #000;
+    --line: #bbb; --thin: #ddd; --warn: #fff; }
+  body { margin: 0; max-width: none; font-size: 10.5pt; } h2 { break-after: avoid; }
   pre { white-space: pre-wrap; } }
 """
 
@@ -114,21 +138,31 @@ def report_page(results: Sequence[Result], data: Measured | None = None, energy:
         "length [L], mass [M] and time [T], force [F] = [M L/T²].</p>",
         *(_warning(result, name) for result, name in zip(results, names, strict=True)),
     ]
+    parts: list[tuple[str, str]] = []  # title and content
     if several:
-        body += ["<h2>Comparison</h2>", _comparison(results, names)]
+        parts.append(("Comparison", _comparison(results, names)))
     else:
         body.append(_figures(results[0]))
-    body += ["<h2>Curves</h2>", _figure(lambda: curve_figure(results, data), _curves_caption(results, data), "curves")]
-    drawn = {kind: _figure(partial(CURVES[kind], results, data), caption, kind) for kind, caption in SOIL.items()}
-    body.append(f'<div class="beside">{"".join(drawn.values())}</div>')
+    curves = _figure(lambda: curve_figure(results, data), _curves_caption(results, data), "curves")
+    drawn = [_figure(partial(CURVES[kind], results, data), caption, kind) for kind, caption in SOIL.items()]
+    parts.append(("Curves", _beside(curves, *drawn)))
     for result, name in zip(results, names, strict=True):
-        head = (lambda text, name=name: f"<h2>{escape(name)}: {text}</h2>") if several else "<h2>{}</h2>".format
-        body += [head("Checks" if not several else "checks"), _checks(result, energy)]
-        body += [head("Inputs" if not several else "inputs"), _inputs(result)]
-        if result.has_state:
-            body += [head("Pictures" if not several else "pictures"), *_pictures(result)]
-        body += [head("How to make it again" if not several else "how to make it again"), _reproduce(result)]
-    body += ["<h2>What the curves mean</h2>", _glossary(result)]
+        own = {
+            "Pictures": "\n".join(_pictures(result)) if result.has_state else "",
+            "Checks": _checks(result, energy),
+            "Inputs": _inputs(result),
+            "How to make it again": _reproduce(result),
+        }
+        parts += [
+            (f"{name}: {head[0].lower()}{head[1:]}" if several else head, content)
+            for head, content in own.items()
+            if content
+        ]
+    parts.append(("What the curves mean", _glossary(result)))
+    links = "".join(f'<a href="#part-{place}">{escape(head)}</a>' for place, (head, _) in enumerate(parts, 1))
+    body.append(f'<nav aria-label="Contents">{links}</nav>')
+    for place, (head, content) in enumerate(parts, 1):
+        body += [f'<h2 id="part-{place}">{escape(head)}</h2>', content]
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -191,7 +225,8 @@ def _checks(result: Result, energy: bool) -> str:
         ]
         for check in result_checks(result, energy)
     ]
-    return _table(["check", "found", "allowed", "", "what it tells"], rows, numbers=(1, 2), escaped=True)
+    heads = ["check", "found", "allowed", "", "what it tells"]
+    return _table(heads, rows, numbers=(1, 2), escaped=True, style="folding")
 
 
 def _inputs(result: Result) -> str:
@@ -200,7 +235,7 @@ def _inputs(result: Result) -> str:
         model, about = SECTIONS.get(section, (StageCase, StageCase.__doc__ or ""))
         rows = [[field, _shown(value), model.model_fields[field].description or ""] for field, value in given.items()]
         parts.append(f"<h3>{escape(section)}</h3><p class='note'>{escape(about)}</p>")
-        parts.append(_table(["field", "value", "meaning and unit"], rows, style="inputs"))
+        parts.append(_table(["field", "value", "meaning and unit"], rows, style="inputs folding"))
     if result.has_state:
         test = result.test
         rows = [
@@ -210,7 +245,8 @@ def _inputs(result: Result) -> str:
             ["membrane balls", str(int(test.cut.membrane_zone.sum())), "of these, at the start"],
             ["height", f"{test.cut.height:.5g}", "of the specimen as made [L]"],
         ]
-        parts += ["<h3>what follows from these</h3>", _table(["", "value", "meaning and unit"], rows, style="inputs")]
+        heads = ["", "value", "meaning and unit"]
+        parts += ["<h3>what follows from these</h3>", _table(heads, rows, style="inputs folding")]
     return "\n".join(parts)
 
 
@@ -218,16 +254,17 @@ def _pictures(result: Result) -> Iterable[str]:
     seen = snapshot(result.test, result.progress, full=True)
     own = int((seen.balls.image == 0).sum())
     yield (
-        f'<p class="note">The last state, at {100 * seen.axial_strain:.3g} % axial strain (a run ends with a whole '
-        f"stretch of steps, so a little past the curves): {own} balls simulated, {seen.balls.number.size} with the "
-        f"images of the sector, {seen.contacts.first.size} touching contacts among these.</p>"
+        f'<p class="note">The last state, at {100 * seen.axial_strain:.3g} % axial strain (the first record at the '
+        f"strain asked for; the curves end with the one before): {own} balls simulated, "
+        f"{seen.balls.number.size} with the images "
+        f"of the sector, {seen.contacts.first.size} touching contacts among these.</p>"
     )
     figures = {
-        kind: _figure(partial(pictures.KINDS[kind], seen), caption, kind)
+        kind: _figure(partial(pictures.KINDS[kind], seen), caption, kind, broad=kind in BROAD)
         for kind, caption in CAPTIONS.items()
         if kind != "membrane-cells" or seen.membrane.polygons
     }
-    yield f'<div class="beside">{figures.pop("specimen")}{figures.pop("force-network")}</div>'
+    yield _beside(figures.pop("specimen"), figures.pop("force-network"))
     yield from figures.values()
 
 
@@ -238,14 +275,15 @@ def _reproduce(result: Result) -> str:
     told = ", ".join(f"{name} {number}" for name, number in versions.items()) or "the same versions"
     commands = f"axijax run case.toml --output {result.name}\naxijax check {result.name}\naxijax report {result.name}\n"
     parts = [
-        f"<p>With {escape(told)}, and the case below saved as case.toml:</p>",
+        f"<p>With {escape(told)}, and the case file below saved as case.toml:</p>",
         f"<pre>{escape(commands)}</pre>",
         "<p>On the same machine these versions give the same numbers to the last bit.</p>",
     ]
     rows = [[name, value] for name, value in _flat(result.info) if name not in ("status", "message", "warnings")]
     if rows:
         parts += ["<h3>Run</h3>", _table(["", ""], rows)]
-    parts += ["<h3>Case file</h3>", f"<pre>{escape(to_toml(result.case))}</pre>"]
+    text = escape(to_toml(result.case))
+    parts.append(f"<details><summary>The inputs above as a case file, to copy</summary><pre>{text}</pre></details>")
     return "\n".join(parts)
 
 
@@ -260,7 +298,7 @@ def _flat(values: Mapping[str, Any], above: str = "") -> Iterable[tuple[str, str
 def _glossary(result: Result) -> str:
     held = quantities_of(result.curve)
     rows = [[name, f"[{each.unit.replace('1', '-')}]", each.long_name] for name, each in held.items()]
-    return _table(["in curve.nc and curve.csv", "unit", "meaning"], rows)
+    return _table(["in curve.nc and curve.csv", "unit", "meaning"], rows, style="folding")
 
 
 def _shown(value) -> str:
@@ -273,7 +311,11 @@ def _shown(value) -> str:
     return f"{value:g}" if isinstance(value, float) and float(f"{value:g}") == value else str(value)
 
 
-def _figure(make: Callable[[], Figure], caption: str, alt: str) -> str:
+def _beside(*figures: str) -> str:
+    return f'<div class="beside">{"".join(figures)}</div>'
+
+
+def _figure(make: Callable[[], Figure], caption: str, alt: str, broad: bool = False) -> str:
     """A picture, or why there is none: the rest of the page is worth having without it."""
     target = io.BytesIO()
     problem = draw_afterwards(
@@ -283,7 +325,7 @@ def _figure(make: Callable[[], Figure], caption: str, alt: str) -> str:
         return f'<p class="warning">{escape(problem)}</p>'
     image = base64.b64encode(target.getvalue()).decode("ascii")
     return (
-        f'<figure><img alt="{escape(alt)}" src="data:image/png;base64,{image}">'
+        f'<figure{BROADLY if broad else ""}><img alt="{escape(alt)}" src="data:image/png;base64,{image}">'
         f"<figcaption>{escape(caption)}</figcaption></figure>"
     )
 
@@ -306,7 +348,7 @@ def _table(
 
     top = f"<thead><tr>{line('th', heads)}</tr></thead>" if any(heads) else ""
     return (
-        f'<table class="{style}">{top}<tbody>'
+        f'<div class="wide"><table class="{style}">{top}<tbody>'
         + "".join(f"<tr>{line('td', row)}</tr>" for row in rows)
-        + "</tbody></table>"
+        + "</tbody></table></div>"
     )

@@ -1,7 +1,7 @@
 """Results as labelled data: a run's folder read by one call, curves as NetCDF through xarray, tables as CSV.
 
     result = open_result("results")     # the folder of a run, or a bare curve.nc
-    result.curve.stress_ratio           # xarray, units in the attributes
+    result.curve.stress_ratio           # xarray over axial_strain, units in the attributes: .plot() is right
     result.case, result.test, result.progress   # made when they are first asked for
 
 Every file is written whole or not at all.
@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from axijax.core.files import printable, write_whole
+from axijax.core.shown import Card, line_picture, per_cent, shown
+from axijax.triaxial.peak import peak_of
 from axijax.triaxial.records import QUANTITIES, Curve, quantities_of
 from axijax.triaxial.test import TriaxialTest, curve_of
 
@@ -35,12 +37,15 @@ CONFINEMENT = {
     "confinement_steps": "steps taken by confinement",
 }
 
+STRAIN = "axial_strain"
+
 # How a run can stand; `run.json` says which.
 STATUSES = ("running", "interrupted", "failed", "finished")
 
 
 def curves_dataset(curves: Mapping[str, Curve], labels: Mapping[str, Sequence], attributes: Mapping[str, str]):
-    """Several curves as one xarray.Dataset with dimensions (run, record), padded with NaN.
+    """Several curves as one xarray.Dataset with dimensions (run, record), padded with NaN; axial_strain, as long, is a
+    coordinate, so that `dataset.stress_ratio.plot.line(x="axial_strain", hue="run")` draws them.
 
     curves: by name of the run. labels: further coordinates along run (friction, boundary..). attributes: of the file.
     """
@@ -60,7 +65,7 @@ def curves_dataset(curves: Mapping[str, Curve], labels: Mapping[str, Sequence], 
         ends = [getattr(curve.confinement, name.removeprefix("confinement_")) for curve in curves.values()]
         data[name] = (("run",), np.asarray(ends), {"long_name": long_name, "units": "1"})
     coordinates = {"run": list(curves), **{name: ("run", list(values)) for name, values in labels.items()}}
-    return xarray.Dataset(data, coordinates, dict(attributes))
+    return xarray.Dataset(data, coordinates, dict(attributes)).set_coords(STRAIN)
 
 
 def save_dataset(dataset: "xarray.Dataset", path: Path) -> None:
@@ -99,13 +104,15 @@ def save_table(
     write_whole(path, write)
 
 
+@shown
 @dataclass(frozen=True)
 class Result:
     """What a run has left; made by `open_result`.
 
     path: the folder, or the curve's file.
     name: of the run.
-    curve: one value a record, in memory; units and long names in the attributes, confinement_* as scalars.
+    curve: one value a record along axial_strain, in memory; units and long names in the attributes, confinement_* as
+        scalars.
     status: "running", "interrupted", "failed" or "finished".
     info: what run.json says; empty without one.
     """
@@ -115,6 +122,20 @@ class Result:
     curve: "xarray.Dataset"
     status: str
     info: Mapping[str, Any]
+
+    def _card(self) -> Card:
+        peak, strain = peak_of(self.curve), self.curve[STRAIN].values
+        rows = {
+            "status": self.status,
+            "axial strain": f"to {per_cent(strain[-1])}",
+            "records": str(strain.size),
+            "peak stress ratio [-]" if peak.reached else "largest stress ratio so far [-]": peak.value,
+            "at axial strain": per_cent(peak.axial_strain),
+            "path": str(self.path),
+        }
+        ratio = self.curve.stress_ratio.values
+        picture = line_picture(100 * strain, ratio, "axial strain [%]", "stress ratio s1/s3 [-]")
+        return Card(f"Result {self.name}", rows, picture)
 
     @cached_property
     def case(self) -> "Case":
@@ -214,7 +235,7 @@ def open_results(path: str | Path) -> list[Result]:
             f"result '{path}' is {status} and was confined but not sheared, so it has no curve yet: {way_on}."
         )
     curve = curve_of(progress, result.test.axial_strain)
-    dataset = curves_dataset({result.name: curve}, {}, {}).isel(run=0, drop=True)
+    dataset = _along_strain(curves_dataset({result.name: curve}, {}, {}).isel(run=0, drop=True))
     complete = Result(path, result.name, dataset, status, info)
     complete.__dict__.update(case=result.case, test=result.test, progress=progress)
     return [complete]
@@ -270,6 +291,11 @@ def _mistyped(info: Mapping[str, Any], needed: Sequence[str]) -> str:
     return ""
 
 
+def _along_strain(curve: "xarray.Dataset") -> "xarray.Dataset":
+    """One run with the axial strain for its dimension, by which xarray draws and selects."""
+    return curve.set_coords(STRAIN).swap_dims(record=STRAIN)
+
+
 def _read_curves(path: Path) -> list[tuple[str, "xarray.Dataset"]]:
     import xarray
 
@@ -287,10 +313,10 @@ def _read_curves(path: Path) -> list[tuple[str, "xarray.Dataset"]]:
         known = known and all(curves[name].dtype.kind in "fi" for name in numbers)
         for number, name in enumerate(names if known else ()):
             run = curves.isel(run=number, drop=True)
-            runs.append((name, run.isel(record=np.isfinite(run.axial_strain.values))))
+            runs.append((name, _along_strain(run.isel(record=np.isfinite(run[STRAIN].values)))))
     except Exception:  # the readers of SciPy and xarray raise whatever a damaged file leads them to
         known = False
-    if not known or not runs or not all(run.sizes["record"] for _, run in runs):
+    if not known or not runs or not all(run.sizes[STRAIN] for _, run in runs):
         raise ValueError(
             f"result '{path}' is damaged or no file of curves of axijax (NetCDF){lacking}: run the case again."
         )

@@ -33,7 +33,7 @@ import numpy as np
 from axijax.app import results
 from axijax.app.case import GIVEN, Case, load_case
 from axijax.app.case_writing import to_toml
-from axijax.app.overwrite import CURVES, clear, refuse_to_lose
+from axijax.app.overwrite import CURVES, clear, refuse_to_lose, remove_stale
 from axijax.app.results import curves_dataset, save_dataset, save_run
 from axijax.app.specimen_file import NAME, load_specimen, save_specimen
 from axijax.core.files import locked, printable, writable_folder, write_whole, writing_to
@@ -66,6 +66,7 @@ def run_case(
     overwrite: bool = False,
     snapshots: int = 0,
     command: Sequence[str] = (),
+    packing: Callable[[str], None] = lambda told: None,
     packed: "Callable[[PackingReport], None]" = lambda report: None,
     confined: Path | None = None,
     keep_confined: Path | None = None,
@@ -73,9 +74,10 @@ def run_case(
     """Run a case into a folder, which is made where there is none.
 
     name: of the run, for titles. overwrite: replace what another run left there. snapshots: how many to write for
-    ParaView, evenly over the shear, one every 1000 steps at most. command: the command line, to be kept.
-    packed: called with what a random specimen has become. confined: begin with the specimen that another case has kept
-    there, which may differ in its stages alone. keep_confined: file for the confined specimen.
+    ParaView, evenly over the shear, each at the first record there. command: the command line, to be kept.
+    packing: called with what the packing of a random specimen is at, packed: with what it has become. confined: begin
+    with the specimen that another case has kept there, which may differ in its stages alone. keep_confined: file for
+    the confined specimen.
 
     Raises ValueError where the case makes no sense, the folder cannot be written or holds a result, or files that no
     run wrote and this one would replace; SimulationError for a run that went wrong, whose curve so far is kept;
@@ -86,7 +88,7 @@ def run_case(
     with locked(writable_folder(folder)):
         try:
             refuse_to_lose(folder, overwrite)
-            case, specimen, report = case.made()
+            case, specimen, report = case.made(packing)
             test = case.build(specimen)
             start = None if confined is None else _start_from(Path(confined), test)
             if report is not None:
@@ -127,6 +129,10 @@ def resume(folder: Path, tell: Tell = lambda test, now: None, axial_strain: floa
             raise ValueError(f"result '{folder}' has lost its checkpoint.npz, so it cannot go on: run the case again.")
         if start is not None:
             _check_same_parameters(folder, test, start)
+        stale = remove_stale(folder)
+        if stale:
+            told = ", ".join(stale)
+            warnings.warn(f"{told}: removed, since they are of a smaller strain; draw them again", stacklevel=2)
         return _run(folder, case, test, start, {**info, "resumed": info["resumed"] + 1}, tell)
 
 
@@ -202,6 +208,7 @@ def _run(
             save_progress(Path(keep_confined), test, now)
         done = now.share(test) if test.stages else now.strain
         if due and done >= due[0]:
+            reached.append(now.strain)
             try:
                 write_snapshot(now)
             except OSError:  # the disk, of which the rest of the run would suffer too
@@ -232,13 +239,14 @@ def _run(
             (folder / name).unlink(missing_ok=True)
         begun = 0.0 if start is None else start.share(test) if test.stages else start.strain
         due = _snapshot_strains(info["snapshots"], 1.0 if test.stages else test.axial_strain, begun)
+        wanted, reached = len(due), list[float]()
         if due:
             from axijax.app.paraview import SnapshotWriter
 
             write_snapshot = SnapshotWriter(folder / "snapshots", test)
         try:
             say(None)
-            run = test.run(start=start, progress=advance, checkpoint=folder / "checkpoint.npz")
+            run = test.run(start=start, progress=advance, checkpoint=folder / "checkpoint.npz", stops=tuple(due))
             save_run(folder, info["name"], case.model_dump_json(), run.curve)
         except KeyboardInterrupt:
             confined = (folder / "checkpoint.npz").exists()
@@ -259,6 +267,9 @@ def _run(
             raise
         note("finished", run.ended)
         warn(run.ended or None)
+        if len(reached) < wanted:
+            reason = "a stage ends with a stretch of 1000 steps" if test.stages else "they are made at records"
+            warn(f"{len(reached)} of {wanted} snapshots were made, since {reason}, and there were not enough of these")
         from axijax.app.plot import draw_curve  # Matplotlib only where something is drawn
 
         warn(draw_curve(folder))

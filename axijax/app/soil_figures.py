@@ -2,7 +2,7 @@
 Mohr's circles.
 
 A random specimen's records are drawn thin, and its smooth curve (`axijax.core.smoothing`) thick. Legends stand beside
-the axes, so that they cover nothing. Sizes are for a picture shown 14 cm wide: letters of 9 points and more.
+the axes, so that they cover nothing. Sizes are for a picture shown 14 cm wide: letters of 10.5 points.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
 from axijax import theory
-from axijax.app.labels import Measured, case_of, labels, line_of, plain
+from axijax.app.labels import LETTERS, Measured, case_of, labels, line_of, plain, readable
 from axijax.app.results import Result
 from axijax.core.smoothing import Smooth, advancing
 from axijax.triaxial.laboratory import laboratory
@@ -198,11 +198,10 @@ def _finished(figure: Figure) -> Figure:
     """With a grid, and the legend below the axes."""
     for axes in figure.axes:
         axes.grid(alpha=0.3)
-        axes.tick_params(labelsize=9)
     handles, names = figure.axes[0].get_legend_handles_labels()
     columns = 2 if len(names) > 4 and max(map(len, names)) < 34 else 1
-    figure.legend(handles, names, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
-    return figure
+    figure.legend(handles, names, loc="outside lower center", ncols=columns, frameon=False, fontsize=LETTERS)
+    return readable(figure)
 
 
 def _named(results: Sequence[Result]) -> list[tuple[Result, str]]:

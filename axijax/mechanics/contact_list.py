@@ -19,6 +19,7 @@ import numpy as np
 
 from axijax.core.images import directed_pairs
 from axijax.core.sector import Sector, radial_distance
+from axijax.core.shown import shown
 from axijax.core.status import FULL_LIST
 from axijax.core.vector import Vector, from_rows
 from axijax.specimen.specimen import Specimen
@@ -45,6 +46,7 @@ class Room(NamedTuple):
     width: int
 
 
+@shown
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ContactList:

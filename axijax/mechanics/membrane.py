@@ -22,11 +22,13 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from axijax.core.sector import Sector, radial_distance
+from axijax.core.shown import shown
 from axijax.core.vector import Vector, from_rows
 from axijax.mechanics.membrane_surface import Surface, axial_areas, fitted_profile
 from axijax.specimen.specimen import Specimen, ZoneRule
 
 
+@shown
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Membrane:
@@ -319,6 +321,7 @@ def _kites(membrane: Membrane, place: jax.Array) -> tuple[jax.Array, jax.Array]:
     return kite, membrane.owned * (kite[(1, 2, 0), :] + kite[(2, 0, 1), :])
 
 
+@shown
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Load:

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from axijax.core.sector import radial_distance
+from axijax.core.shown import shown
 from axijax.core.vector import Vector
 from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.contacts import Geometry, geometry
@@ -18,6 +19,7 @@ from axijax.mechanics.volume import solid_volume, void_ratio
 from axijax.mechanics.walls import WallForces, platen_loads
 
 
+@shown
 class Observation(NamedTuple):
     """Measured at one moment; every field a scalar.
 

@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import jax
 
+from axijax.core.shown import shown
 from axijax.core.vector import Vector
 from axijax.mechanics.term import Memory
 
@@ -30,6 +31,7 @@ class Loading(NamedTuple):
     memory: Any = None
 
 
+@shown
 class State(NamedTuple):
     """What a step carries; a pytree.
 

@@ -10,10 +10,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from axijax.core.sector import Sector, plane_normals
+from axijax.core.shown import Card, ball_picture, shown
 
 ZoneRule = Literal["given", "exposure"]
 
 
+@shown
 @dataclass(frozen=True)
 class Specimen:
     """Balls between two plates, as made (no overlap needed, none allowed beyond rounding).
@@ -80,6 +82,18 @@ class Specimen:
     def height(self) -> float:
         """Distance between the platens [L]."""
         return self.top - self.bottom
+
+    def _card(self) -> Card:
+        small, large = float(self.radius.min()), float(self.radius.max())
+        rows = {
+            "balls": str(len(self)),
+            "radius [L]": f"{small:.4g}" if small == large else f"{small:.4g} to {large:.4g}",
+            "height [L]": f"{self.height:.4g}",
+            "name": self.name,
+            "balls that carry the membrane": str(int(self.membrane_zone.sum())),
+        }
+        picture = ball_picture(self.positions, self.radius, self.bottom, self.top)
+        return Card("Specimen", rows, picture, ("name", "balls", "radius [L]", "height [L]"))
 
     def select(self, which: np.ndarray) -> "Specimen":
         """The balls given by a mask or by indices, the platens as they are."""

@@ -4,10 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from axijax.core.shown import Card, shown
 from axijax.specimen.grading import Fraction
 from axijax.triaxial.density import Bounds
 
 
+@shown
 @dataclass(frozen=True)
 class PackingReport:
     """What a generated specimen has become; `print(report)` says it in words.
@@ -69,6 +71,21 @@ class PackingReport:
     def relative_density(self) -> float | None:
         """(e_max - e)/(e_max - e_min) of the counted void ratio; None without bounds [-]."""
         return self.bounds and self.bounds.relative_density(self.counted_void_ratio)
+
+    def _card(self) -> Card:
+        rows = {
+            "balls": str(self.balls),
+            "seed": str(self.seed),
+            "void ratio [-]": f"{self.counted_void_ratio:.4f}",
+            "compaction friction [-]": f"{self.compaction_friction:.4g}",
+            "in the sector": f"{self.radii.size}, order {self.order}",
+            "Rm, height [L]": f"{self.membrane_radius:.4g}, {self.height:.4g}",
+            "coordination number [-]": f"{self.coordination_number:.3f}",
+            "rattlers [%]": f"{100 * self.rattler_fraction:.1f}",
+            "stress ratio of the core [-]": f"{self.core_stress_ratio:.3f} +- {self.core_stress_error:.3f}",
+            "warnings": "; ".join(self.warnings) or "none",
+        }
+        return Card("PackingReport", rows, brief=("balls", "seed", "void ratio [-]", "compaction friction [-]"))
 
     def _density(self) -> list[str]:
         if self.bounds is None:

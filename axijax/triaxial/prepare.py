@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax.core.quantity import parts_of
+from axijax.core.shown import shown
 from axijax.mechanics.contact_list import ContactList, build_contact_list
 from axijax.mechanics.contact_search import grid_for
 from axijax.mechanics.dynamics import Scene
@@ -48,6 +49,7 @@ class Numerics:
         return (sum(self.stage_records) or self.records) * self.record_every
 
 
+@shown
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Prepared:

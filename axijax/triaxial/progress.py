@@ -1,10 +1,12 @@
 """A shear in progress: its beginning, some steps further, and what it leaves."""
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import numpy as np
 
+from axijax.core.shown import Card, per_cent, shown
 from axijax.core.status import NOT_CONFINED
 from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.dynamics import positions
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 SEGMENT = 1000  # steps between looks at the run from outside: progress, rebuilding, errors
 
 
+@shown
 class Progress(NamedTuple):
     """A shear in progress: all that `TriaxialTest.run` needs to go on.
 
@@ -69,6 +72,16 @@ class Progress(NamedTuple):
             return 1.0
         most = test.prepared.numerics.stage_records[self.stage] * test.record_every
         return (self.stage + min(self.steps / most, 1.0) * self.begun) / len(test.stages)
+
+    def _card(self) -> Card:
+        rows = {
+            "axial strain": per_cent(self.strain),
+            "stress ratio s1/s3 [-]": f"{self.stress_ratio:.4f}",
+            "unbalanced force [-]": f"{self.unbalanced_force:.1e}",
+            "steps": str(self.taken),
+            "records": str(self.records.height.size),
+        }
+        return Card("Progress", rows | ({"stage": str(self.stage + 1)} if self.begun else {}))
 
     @property
     def path_length(self) -> float:
@@ -130,8 +143,9 @@ def fit_for_stages(test: "TriaxialTest", now: Progress) -> Progress:
     return now._replace(state=state, records=no_records(now.params, bool(test.stages)))
 
 
-def go_on(test: "TriaxialTest", now: Progress) -> Progress:
-    """About 1000 steps further, or until a list is worn; lists that are worn are rebuilt first.
+def go_on(test: "TriaxialTest", now: Progress, until: float | None = None) -> Progress:
+    """About 1000 steps further, or until a list is worn, or to the first record at an axial strain, that where the test
+    ends if none is given; lists that are worn are rebuilt first.
 
     With `rebuild_every` they are rebuilt before the same records as by `simulate`.
     """
@@ -151,10 +165,11 @@ def go_on(test: "TriaxialTest", now: Progress) -> Progress:
     left = places + 1
     if every:  # records before the rebuild that is due; none where only steps to the next record are left before it
         left = 0 if number and number % every == 0 and now.due else every - number % every
+    most = min(places, _records_left(test, now, test.axial_strain if until is None else until))
     reached = march_until(
         test.scene, places, test.record_every, True, widely_graded, path, lists,
         prepared.time_step, now.params, state, now.fixed, now.due, now.steps, now.worn,
-        min(places, left), left <= places,
+        min(most, left), left <= most,
     )  # fmt: skip
     seen = jax.tree.map(lambda values: np.asarray(values)[: int(reached.records)], reached.seen)
     joined = jax.tree.map(np.append, now.records, seen)
@@ -170,6 +185,15 @@ def go_on(test: "TriaxialTest", now: Progress) -> Progress:
     if test.stages and not path.going(reached.watched, after.steps):
         after = after._replace(stage=now.stage + 1, begun=False, over=bool(path.failed(reached.watched)))
     return after
+
+
+def _records_left(test: "TriaxialTest", now: Progress, until: float) -> int:
+    """Records until the strain is reached at full speed, the first one there included; of a test in stages, each of
+    which knows its end, more than there are in a segment."""
+    if test.stages:
+        return SEGMENT + 1
+    each = 2 * float(now.params.platen_speed) * test.prepared.time_step * test.record_every / now.height
+    return max(math.ceil((until - now.strain) / each - now.due / test.record_every + 1 - 1e-6), 1)
 
 
 _start_stage = jax.jit(start_stage, static_argnums=0)
@@ -193,6 +217,7 @@ def curve_of(progress: Progress, axial_strain: float) -> Curve:
     return make_curve(jax.tree.map(lambda values: values[wanted], progress.records), progress.confinement)
 
 
+@shown
 class Run(NamedTuple):
     """What a run leaves: its curve, and the last contact list, membrane and state.
 
@@ -209,3 +234,8 @@ class Run(NamedTuple):
     def positions(self) -> np.ndarray:
         """Ball centres at the end, (3, N) [L]; ball i is ball i of the test's `cut` throughout."""
         return np.asarray(positions(self.network, self.state))
+
+    def _card(self) -> Card:
+        card = self.curve._card()
+        last = {"balls in the sector": str(self.network.radius.size)} | ({"ended": self.ended} if self.ended else {})
+        return card._replace(title="Run", rows={**card.rows, **last})

@@ -10,6 +10,8 @@
 The last is the triaxial test's own confinement.
 """
 
+import itertools
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -18,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax import theory
+from axijax.core.bars import telling
 from axijax.core.platform import require_64_bits
 from axijax.core.sector import Sector, plane_normals
 from axijax.core.vector import from_rows
@@ -62,6 +65,7 @@ def random_cylinder(
     params: Params | None = None,
     tolerance: float = 1e-3,
     most_steps: int = 100_000,
+    progress: Callable[[str], None] | bool = False,
 ) -> tuple[Specimen, PackingReport]:
     """A full cylinder of balls packed at random with the sector's symmetry, in balance at the confining stress.
 
@@ -82,6 +86,7 @@ def random_cylinder(
         the law of the test: for Hertzian balls springs that these press in as deeply at the confining stress, or as
         stiff as softness STIFFEST says, since with those of glass compaction would take twenty times as many steps.
     tolerance: unbalanced force and stress error at which compaction ends [-]. most_steps: allowed for it.
+    progress: True for a line in the terminal or the notebook, or a function that is called with what goes on.
 
     Raises ValueError for arguments that make no sense or are not supported (a fraction of the grading that gets no
     ball, sizes too wide apart, contacts too soft: see `axijax.triaxial.feasible`), and for a void ratio that cannot be
@@ -117,7 +122,10 @@ def random_cylinder(
         params = replace(params, material=_springs(params, radii))
     told = check_feasible(grading, radii, params, balls)
 
+    trials = itertools.count(1)
+
     def compacted(friction: float, seed: int = seed) -> tuple[Specimen, PackingReport]:
+        tell(f"packing {balls} balls at random, number {next(trials)}, friction {friction:.3g}")
         rng = np.random.default_rng(seed)
         # Near to what compaction will reach, so that it hardly changes the shape.
         loose = _grown(radii, sector, aspect_ratio, 0.6 - 0.1 * friction / (friction + 0.15), rng)
@@ -126,16 +134,17 @@ def random_cylinder(
         known = {"fractions": grading.fractions(radii), "warnings": told, "sieves": _sieves(grading, radii)}
         return cut, replace(report, grading=grading.name, seed=seed, **known)
 
-    if relative_density is not None:
-        made_from = [balls, sector, list(grading.radii), list(grading.share), aspect_ratio, params, tolerance]
-        known = bounds(partial(compacted, seed=0), made_from, library())
-        wanted, said = known.void_ratio(relative_density), f"relative_density = {relative_density:g}"
-        cut, report = sought(compacted, wanted, void_ratio_tolerance, f"{said}, void ratio {wanted:.4f}", SEEDS)
-        report = replace(report, bounds=known)
-    elif void_ratio is not None:
-        cut, report = sought(compacted, void_ratio, void_ratio_tolerance, f"void_ratio = {void_ratio:g}")
-    else:
-        cut, report = compacted(compaction_friction)
+    with telling(progress) as tell:
+        if relative_density is not None:
+            made_from = [balls, sector, list(grading.radii), list(grading.share), aspect_ratio, params, tolerance]
+            known = bounds(partial(compacted, seed=0), made_from, library())
+            wanted, said = known.void_ratio(relative_density), f"relative_density = {relative_density:g}"
+            cut, report = sought(compacted, wanted, void_ratio_tolerance, f"{said}, void ratio {wanted:.4f}", SEEDS)
+            report = replace(report, bounds=known)
+        elif void_ratio is not None:
+            cut, report = sought(compacted, void_ratio, void_ratio_tolerance, f"void_ratio = {void_ratio:g}")
+        else:
+            cut, report = compacted(compaction_friction)
     return _whole_cylinder(cut, sector), report
 
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax import theory
+from axijax.core.shown import Card, line_picture, numbers, per_cent, shown
 from axijax.core.smoothing import Smooth, advancing
 from axijax.core.status import UNSTABLE, described
 from axijax.mechanics.observe import Observation
@@ -76,6 +77,7 @@ def recorded(long_name: str, unit: str = "1", of: str = "", **default: Any) -> A
     return field(metadata={"record": Recorded(long_name, unit, of)}, **default)
 
 
+@shown
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Curve:
@@ -116,6 +118,23 @@ class Curve:
     top_torque: jax.Array | None = recorded("its moment on the top platen about the axis", "F L", of=ROUGH)
     confinement: Confinement
     status: jax.Array
+
+    def _card(self) -> Card:
+        from axijax.triaxial.peak import peak_of
+
+        strain, ratio = numbers(self.axial_strain), numbers(self.stress_ratio)
+        if strain is None or ratio is None or numbers(self.void_ratio) is None:
+            return Card("Curve", {"records": "of a batch, traced, or none"})
+        peak = peak_of(self)
+        name = "peak stress ratio [-]" if peak.reached else "largest stress ratio so far [-]"
+        rows = {
+            "records": str(strain.size),
+            "axial strain": f"to {per_cent(strain[-1])}",
+            name: f"{peak.value} at {per_cent(peak.axial_strain)} axial strain",
+            "volumetric strain at the end": per_cent(float(np.asarray(self.volumetric_strain)[-1])),
+            "status": described(int(np.asarray(self.status))) or "sound",
+        }
+        return Card("Curve", rows, line_picture(100 * strain, ratio, "axial strain [%]", "stress ratio s1/s3 [-]"))
 
     @derived("axial stress s1 = R s3, compression positive", "F L-2")
     def axial_stress(self):

@@ -11,7 +11,7 @@ and adds checks and a sentence for whatever went wrong.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -20,8 +20,9 @@ import jax
 import numpy as np
 
 from axijax.core.platform import require_64_bits, warn_where_batched
-from axijax.core.quantity import setting, settings
+from axijax.core.quantity import setting, settings, values_of
 from axijax.core.sector import Sector
+from axijax.core.shown import Card, per_cent, shown
 from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.dynamics import Scene
 from axijax.mechanics.membrane import Load, Membrane
@@ -34,10 +35,12 @@ from axijax.triaxial.prepare import Prepared, prepare
 from axijax.triaxial.progress import Progress, Run, begin, curve_of, fit_for_stages, go_on, why_over
 from axijax.triaxial.records import Confinement, Curve, SimulationError, raise_for_status, warn_of_chatter
 from axijax.triaxial.stages import confine, simulate
+from axijax.triaxial.watch import watched
 
 CHECKPOINT_SECONDS = 60.0  # between checkpoints, where they are asked for
 
 
+@shown
 @dataclass(frozen=True)
 class TriaxialTest:
     """A triaxial test of a specimen's sector: what is asked, and nothing that is computed from it.
@@ -160,41 +163,31 @@ class TriaxialTest:
     def run(
         self,
         params: Params | None = None,
-        progress: Callable[[Progress], None] | None = None,
+        progress: Callable[[Progress], None] | bool | None = None,
         start: Progress | None = None,
         checkpoint: Path | None = None,
+        stops: Sequence[float] = (),
     ) -> Run:
         """Run the test to its end and return curve and final state; lists are rebuilt where needed.
 
-        progress: called with where the test stands: once before the first step of the shear, then about every 1000, and
-            whenever the lists are made anew.
+        progress: True for a bar in the terminal or the notebook; or a function, called with where the test stands: once
+            before the first step of the shear, then about every 1000, and whenever the lists are made anew.
         start: go on from here, see `axijax.triaxial.checkpoint.load_progress`, instead of confining; its parameters are
             used.
         checkpoint: file to which the progress is written now and then, at the end and at an interruption (Ctrl-C).
+        stops: axial strains at whose first record `progress` is called too, as for snapshots; not of a test in stages.
 
         Raises ValueError for bad parameters, and SimulationError with the remedy for a run that went wrong.
         """
         require_64_bits()
         if start is not None and params is not None:
             raise ValueError("params: must be left out where a start is given, which brings its own.")
-        now = begin(self, self.params if params is None else params) if start is None else fit_for_stages(self, start)
-        if checkpoint is not None:
-            save_progress(checkpoint, self, now)
-        written = time.monotonic()
-        try:
-            if progress is not None:
-                progress(now)
-            while not now.ended(self):
-                now = go_on(self, now)
-                if progress is not None:
-                    progress(now)
-                if checkpoint is not None and time.monotonic() - written > CHECKPOINT_SECONDS:
-                    save_progress(checkpoint, self, now)
-                    written = time.monotonic()
-        finally:
-            # Whole segments only: after a failure or an interruption this is the last sound state.
-            if checkpoint is not None:
-                save_progress(checkpoint, self, now)
+        with watched(self, progress) as tell:
+            if start is None:
+                now = begin(self, self.params if params is None else params)
+            else:
+                now = fit_for_stages(self, start)
+            now = self._sheared(now, tell, checkpoint, stops)
         curve = curve_of(now, self.axial_strain)
         raise_for_status(curve.status, curve)
         if self.stages:
@@ -208,3 +201,37 @@ class TriaxialTest:
             )
         warn_of_chatter(curve)
         return Run(curve, now.network, now.membrane, now.state)
+
+    def _sheared(
+        self, now: Progress, tell: Callable[[Progress], None], checkpoint: Path | None, stops: Sequence[float]
+    ) -> Progress:
+        """From here to the end of the test."""
+        if checkpoint is not None:
+            save_progress(checkpoint, self, now)
+        written = time.monotonic()
+        try:
+            tell(now)
+            while not now.ended(self):
+                ahead = (strain for strain in stops if now.strain < strain < self.axial_strain)
+                now = go_on(self, now, min(ahead, default=None))
+                tell(now)
+                if checkpoint is not None and time.monotonic() - written > CHECKPOINT_SECONDS:
+                    save_progress(checkpoint, self, now)
+                    written = time.monotonic()
+        finally:
+            # Whole segments only: after a failure or an interruption this is the last sound state.
+            if checkpoint is not None:
+                save_progress(checkpoint, self, now)
+        return now
+
+    def _card(self) -> Card:
+        specimen, sector = self.specimen._card(), self.sector
+        goal = f"{len(self.stages)} stages" if self.stages else f"compression to {per_cent(self.axial_strain)}"
+        given = {name: np.asarray(value) for name, value in values_of(self.params).items()}
+        rows = {
+            "specimen": f"{self.specimen.name}, {len(self.specimen)} balls",
+            "sector": f"1/{sector.order}, {sector.boundary} planes" if sector.order > 1 else "full cylinder",
+            "loading": goal,
+        }
+        told = {n: f"{value:g}" if value.shape == () else f"{value.size} values" for n, value in given.items()}
+        return Card("TriaxialTest", rows | told, specimen.picture, (*rows, "friction", "confining_stress"))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from axijax.app.cli.errors import filling
+from axijax.app.cli.say import say
 
 if TYPE_CHECKING:
     from axijax.app.batch import Member
@@ -34,49 +35,40 @@ def batch(
     Writes one NetCDF file a test into OUTPUT/members as they come, and summary.csv. Run again after an interruption:
     what is there is not computed again. Ends with exit code 1 where a test failed; the others are kept.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
     from axijax.app.batch import Outcome, run_batch
     from axijax.app.executors import open_executor
+    from axijax.core.bars import Pace, bar
     from axijax.core.files import writable_folder
 
     if workers is not None and executor is not None:
         raise ValueError("--workers are threads of this process: with --executor write 'processes:4' for four of them.")
     members = load_sweep(sweep)
     folder = writable_folder(output)
-    console = Console()
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:3.0f} %"),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
     shares: dict[str, float] = {}
-    ended = 0
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
-        whole = bars.add_task(sweep.stem, total=len(members))
+    ended, pace = 0, Pace()
+    with bar() as show:
+
+        def tell_bar() -> None:
+            done = ended + sum(shares.values())
+            pace.mark(done / len(members))
+            show(f"{sweep.stem}  {ended} of {len(members)} tests", done / len(members), pace.left)
 
         def advance(name: str, share: float, ratio: float) -> None:
             shares[name] = share
-            bars.update(whole, completed=ended + sum(shares.values()))
+            tell_bar()
 
         def tell(outcome: Outcome) -> None:
             nonlocal ended
             ended += 1
             shares.pop(outcome.member.name, None)
-            bars.update(whole, completed=ended + sum(shares.values()))
-            console.print(_line(outcome), highlight=False, soft_wrap=True, markup=False)
+            tell_bar()
+            say(_line(outcome))
 
         with contextlib.ExitStack() as stack:
             stack.enter_context(filling(folder, "run it again, and what is there is not computed again"))
             pool = None if executor is None else stack.enter_context(open_executor(executor))
             result = run_batch(members, folder, advance, tell, workers=workers, executor=pool)
-    console.print(
-        f"{len(result.curves)} of {len(members)} tests done. Written: {folder / 'summary.csv'}, {folder / 'members'}",
-        highlight=False, soft_wrap=True,
-    )  # fmt: skip
+    say(f"{len(result.curves)} of {len(members)} tests done. Written: {folder / 'summary.csv'}, {folder / 'members'}")
     if result.failures:
         raise typer.Exit(1)
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from axijax.app.cli.errors import filling
+from axijax.app.cli.say import say
 
 if TYPE_CHECKING:
     from calibrate import MeasuredCurve
@@ -24,11 +25,11 @@ def calibrate(
     column: Annotated[
         Many,
         typer.Option(
-            metavar="QUANTITY=NAME [UNIT]",
+            metavar="NAME=COLUMN",
             rich_help_panel=READING,
             show_default=False,
-            help="A column's name, unit, sign, or part of it, where the header does not say: 'axial_displacement=Weg "
-            "\\[mm]', 'q=\\[kPa]', 'eps_v=dV/V (dilation positive)'. Several times.",
+            help="A column's name, unit, sign, or part of it, where the header does not say: 's1=Druck "
+            "[bar]', 'q=[kPa]', 'eps_v=dV/V (dilation positive)'. Several times.",
         ),
     ] = None,
     test: Annotated[
@@ -50,11 +51,11 @@ def calibrate(
     uncertainty: Annotated[
         Many,
         typer.Option(
-            metavar="QUANTITY=NUMBER",
+            metavar="NAME=NUMBER",
             rich_help_panel=READING,
             show_default=False,
             help="Standard uncertainty of stress_ratio or volumetric_strain (a fraction), such as "
-            "stress_ratio=0.05; left out, only the proportion 0.02 to 1e-4 counts.",
+            "R=0.05; left out, only the proportion 0.02 to 1e-4 counts.",
         ),
     ] = None,
     bounds: Annotated[
@@ -159,10 +160,13 @@ def calibrate(
     if idle or packings is not None:
         raise ValueError(f"--{(idle or ['packings'])[0]}: would do nothing on a lattice; leave it out.")
     _before_packing(loaded, curve, fit, given)
-    built = loaded.build()
+    built = loaded.build()  # no random specimen, which would take its time
     folder = writable_folder(output)
     with locked(folder), filling(folder, "run it again, and what is in evaluations.jsonl is not computed again"):
-        found = calibrate_file(curve, fit, built, folder, check=check, max_runs=60 if runs is None else runs, **given)
+        found = calibrate_file(
+            curve, fit, built, folder, check=check, max_runs=60 if runs is None else runs, report=say, progress=True,
+            **given,
+        )  # fmt: skip
     if not found.converged:
         raise typer.Exit(1)
 

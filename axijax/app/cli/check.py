@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from axijax.app.cli.run import Json
+from axijax.app.cli.say import say, say_rows
 
 if TYPE_CHECKING:
     from axijax.app.checks import Check
@@ -26,8 +27,11 @@ def check(
     if what.is_dir():
         from axijax.app.checks import result_checks
         from axijax.app.results import open_result
+        from axijax.core.bars import bar
 
-        checks = result_checks(open_result(what), energy=True)
+        with bar() as show:
+            show("shearing the first 0.05 % of strain again, for the energy ledger")
+            checks = result_checks(open_result(what), energy=True)
         sound = all(one.passed is not False for one in checks)
         if as_json:
             print(json.dumps({"sound": sound, "checks": [one._asdict() for one in checks]}))
@@ -38,8 +42,12 @@ def check(
     else:
         from axijax.app.case import load_case
         from axijax.app.forecast import forecast
+        from axijax.core.bars import bar
 
-        found = forecast(load_case(what))
+        loaded = load_case(what)
+        with bar() as show:
+            show("preparing, then running 1000 steps to measure the speed")
+            found = forecast(loaded)
         print(json.dumps(found._asdict())) if as_json else _print_forecast(found)
 
 
@@ -62,12 +70,11 @@ def _print_forecast(found: "Forecast") -> None:
         )
     if found.memory is not None:
         lines["memory"] = f"{found.memory / 2**20:.0f} MiB  (this process, now)"
-    for name, text in lines.items():
-        print(f"{name:20}{text}")
+    say_rows(lines.items())
     for text in found.warnings:
-        print(f"warning: {text}.")
+        say(f"warning: {text}.")
     count = len(found.warnings)
-    print(f"{count or 'no'} warning{'' if count == 1 else 's'}")
+    say(f"{count or 'no'} warning{'' if count == 1 else 's'}")
 
 
 def _duration(seconds: float) -> str:
@@ -81,9 +88,9 @@ def _print_checks(checks: "list[Check]") -> None:
         value = one.value if isinstance(one.value, str) else f"{one.value:.2g}"
         limit = one.limit if isinstance(one.limit, str) else f"at most {one.limit:.2g}"
         mark = {True: "ok  ", False: "FAIL", None: "note"}[one.passed]
-        print(f"{mark}  {one.name}: {value}  ({limit})")
+        say(f"{mark}  {one.name}: {value}  ({limit})")
         if not one.passed:
-            print(f"      {one.meaning}.")
+            say(f"      {one.meaning}.")
     counts = {mark: sum(one.passed is mark for one in checks) for mark in (True, False, None)}
     told = f"{counts[True]} of {counts[True] + counts[False]} checks passed"
-    print(told + (f", {counts[None]} without a limit" if counts[None] else ""))
+    say(told + (f", {counts[None]} without a limit" if counts[None] else ""))

@@ -1,8 +1,11 @@
 """The command line. Heavy imports happen inside the commands, so that --help is quick."""
 
+import inspect
+import re
 import sys
 import warnings
 from collections.abc import Callable
+from inspect import get_annotations
 from typing import Annotated
 
 import typer
@@ -67,9 +70,24 @@ COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
     cite: ("axijax cite", "axijax cite results/first"),
     table1: ("axijax table1", "axijax table1 --stiffness contact --output contact"),
 }
+
+
+def _flowing(text: str) -> str:
+    """A docstring for the help, which keeps the ends of lines as they are: each paragraph one line."""
+    return "\n\n".join(" ".join(part.split()) for part in inspect.cleandoc(text).split("\n\n"))
+
+
+def _literal(text: str) -> str:
+    """Brackets that look like the help's own marks, such as [mm], made to be shown."""
+    return re.sub(r"(?<!\\)(\[[a-z#/@][^[]*?])", r"\\\1", text)
+
+
 for command, examples in COMMANDS.items():
-    shown = [example.replace("[", "\\[") for example in examples]  # brackets would be marks of the help's own
-    app.command(epilog="\n\n".join(["Examples:", *shown]))(command)
+    told = "\n\n".join(["Examples:", *examples])
+    for kind in get_annotations(command).values():
+        for about in getattr(kind, "__metadata__", ()):
+            about.help = about.help and _literal(about.help)
+    app.command(help=_literal(_flowing(command.__doc__ or "")), epilog=_literal(told))(command)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -86,6 +104,6 @@ def main(arguments: list[str] | None = None) -> int:
 
             fast_cpu_kernels()
             use_compilation_cache()
-        return app(given, standalone_mode=False)
+        return app(given, prog_name="axijax", standalone_mode=False)
 
     return guarded(work, given)

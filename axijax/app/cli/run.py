@@ -4,13 +4,15 @@ import json
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from axijax.app.cli.errors import INTERRUPTED, complain
+from axijax.app.cli.say import say, say_rows, width
+from axijax.core.bars import Pace
 
 if TYPE_CHECKING:
     from axijax.triaxial.packing_report import PackingReport
@@ -21,7 +23,9 @@ Json = Annotated[bool, typer.Option("--json", help="One JSON object a line on st
 
 def new(
     file: Annotated[Path, typer.Argument(help="Case file to write (TOML).")],
-    kind: Annotated[str, typer.Option(help="Specimen: octagon, fcc, bcc, hcp, sc or random.")] = "octagon",
+    kind: Annotated[
+        str, typer.Option(help="Specimen: octagon, fcc, bcc, hcp, sc, random, or file for a packing of your own.")
+    ] = "octagon",
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file where it exists.")] = False,
 ) -> None:
     """Write a case file in which every field is set to its default, with its unit and what is allowed.
@@ -52,7 +56,7 @@ def run(
     snapshots: Annotated[
         int,
         typer.Option(
-            min=0, max=100_000, help="Snapshots for ParaView, evenly over the shear (1000 steps apart at least)."
+            min=0, max=100_000, help="Snapshots for ParaView, evenly over the shear, each at the first record there."
         ),
     ] = 0,
     keep_confined: Annotated[
@@ -76,11 +80,9 @@ def run(
     folder = Path("results") / case.stem if output is None else output
     with _live(folder, as_json) as live:
         command = ["axijax", *sys.argv[1:]]
-        if loaded.specimen.kind == "random":
-            live.show("packing", f"packing {loaded.specimen.balls} balls at random")
         done = run_case(
             loaded, folder, case.stem, live.tell,
-            overwrite=overwrite, snapshots=snapshots, command=command, packed=live.packed,
+            overwrite=overwrite, snapshots=snapshots, command=command, packing=live.packing, packed=live.packed,
             confined=confined, keep_confined=keep_confined,
         )  # fmt: skip
         live.finished(done)
@@ -121,7 +123,7 @@ class _Live:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.started = time.perf_counter()
-        self.marks: list[tuple[float, float, int]] = []  # time, share done, steps
+        self.pace = Pace()
         self.asked: float | None = None  # axial strain
 
     def __enter__(self) -> "_Live":
@@ -135,8 +137,8 @@ class _Live:
         self.asked = test.axial_strain
         if now is None:
             return self.show("preparing", f"{len(test.cut)} balls, {test.prepared.numerics.most_steps} steps")
-        self.marks.append((time.perf_counter(), now.share(test), now.taken))
-        if len(self.marks) == 1:
+        self.pace.mark(now.share(test), now.taken)
+        if self.pace.first:
             balance, goal = now.confinement, f"shearing to {100 * test.axial_strain:g} %"
             if test.stages:
                 goal = f"{len(test.stages)} stage{'s' if len(test.stages) > 1 else ''} to come"
@@ -145,22 +147,15 @@ class _Live:
             else:
                 found = f"{int(balance.steps)} steps to an unbalanced force of {float(balance.unbalanced_force):.1e}"
                 self.show("confined", f"confined in {found}; {goal}")
-        rate, left = self.speed(test)
-        self.advance(test, now, rate, left)
+        steps = self.pace.rate
+        self.advance(test, now, None if steps is None else steps * len(test.cut), self.pace.left)
+
+    def packing(self, told: str) -> None:
+        """What the packing of a random specimen is at."""
 
     def packed(self, report: "PackingReport") -> None:
         """What a random specimen has become."""
         self.show("packed", str(report))
-
-    def speed(self, test: "TriaxialTest") -> tuple[float | None, float | None]:
-        """Ball-steps a second and seconds left, from the last stretches; the first one, which compiles, left out."""
-        marks = self.marks[1:][-20:]
-        if len(marks) < 2:
-            return None, None
-        (start, share, steps), (end, reached, more) = marks[0], marks[-1]
-        rate = (more - steps) * len(test.cut) / (end - start)
-        left = (1 - reached) * (end - start) / (reached - share) if reached > share else None
-        return rate, left
 
     def show(self, event: str, text: str) -> None:
         """One thing that happened once."""
@@ -173,63 +168,68 @@ class _Live:
         from axijax.triaxial.laboratory import laboratory
 
         found = laboratory(run.curve)
-        for name, value in found.rows(self.asked).items():
-            self.show("summary", f"{name:62} {value}")
+        say_rows(found.rows(self.asked).items())
         self.show("finished", f"{found.peak}; {time.perf_counter() - self.started:.1f} s; result in {self.folder}")
-
-
-def _doing(test: "TriaxialTest", now: "Progress") -> str:
-    return f"stage {min(now.stage + 1, len(test.stages))}" if test.stages else "shearing"
 
 
 class _PlainLines(_Live):
     """A line for each thing that happened, no more: for logs and pipes."""
 
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.packs = False
+
+    def packing(self, told: str) -> None:
+        if not self.packs:
+            self.show("packing", told)
+        self.packs = True
+
     def show(self, event: str, text: str) -> None:
-        print(text, flush=True)
+        say(text)
 
 
 class _LiveLine(_Live):
-    """One line of a terminal that is written again and again."""
+    """One line of a terminal that is written again and again: stage, strain, a bar and the time left."""
 
     def __init__(self, folder: Path) -> None:
-        from rich.console import Console
-        from rich.live import Live
-
         super().__init__(folder)
-        self.live = Live(console=Console(highlight=False), refresh_per_second=8, transient=True)
+        self.stack = ExitStack()
 
     def __enter__(self) -> "_Live":
-        self.live.start()
+        from axijax.core.bars import bar
+
+        self.bar = self.stack.enter_context(bar())
+        self.bar("reading the case")
         return self
 
     def __exit__(self, kind, error, trace) -> None:
-        with suppress(OSError):  # the terminal may be gone
-            self.live.stop()
+        self.stack.close()
+
+    def packing(self, told: str) -> None:
+        self.bar(told)
 
     def show(self, event: str, text: str) -> None:
-        from rich.spinner import Spinner
-
-        if event == "packing":
-            self.live.update(Spinner("dots", text))
-        elif event == "preparing":
-            self.live.update(Spinner("dots", f"confining {text}"))
+        if event == "preparing":
+            self.bar(f"confining {text}")
         else:
-            self.live.console.print(text, highlight=False, soft_wrap=True)
+            say(text)
 
     def advance(self, test: "TriaxialTest", now: "Progress", rate: float | None, left: float | None) -> None:
-        from rich.text import Text
+        self.bar(_line(test, now, rate, width()), now.share(test), left)
 
-        parts = [  # together within 80 columns
-            f"{_doing(test, now) if rate else 'compiling'} {100 * now.strain:.3f} %",
-            f"s1/s3 {now.stress_ratio:.4f}",
-            f"unbalanced {now.unbalanced_force:.0e}",
-        ]
+
+def _line(test: "TriaxialTest", now: "Progress", rate: float | None, room: int) -> str:
+    """Stage and strain; in a wider terminal stress ratio, and then unbalanced force and speed."""
+    from axijax.triaxial.watch import stage_of, strain_of
+
+    parts = [stage_of(test, now) if rate else "compiling", strain_of(test, now)]
+    if room >= 72:
+        parts.append(f"s1/s3 {now.stress_ratio:.3f}")
+    if room >= 112:
+        parts.append(f"unbalanced {now.unbalanced_force:.0e}")
         if rate is not None:
             parts.append(f"{rate / 1e6:.1f}M ball-steps/s")
-        if left is not None:
-            parts.append(f"{left // 60:.0f}:{left % 60:02.0f} left")
-        self.live.update(Text("  ".join(parts), no_wrap=True, overflow="crop"))
+    return "  ".join(parts)
 
 
 class _JsonLines(_Live):
@@ -248,9 +248,11 @@ class _JsonLines(_Live):
         self.say(event="packed", **packing_values(report))
 
     def advance(self, test: "TriaxialTest", now: "Progress", rate: float | None, left: float | None) -> None:
+        from axijax.triaxial.watch import stage_of
+
         self.say(
             event="progress",
-            stage=_doing(test, now),
+            stage=stage_of(test, now),
             axial_strain=now.strain,
             stress_ratio=now.stress_ratio,
             unbalanced_force=now.unbalanced_force,

@@ -7,6 +7,7 @@ import typer
 
 from axijax.app.cli.calibrate import Many, uncertainties
 from axijax.app.cli.errors import filling
+from axijax.app.cli.say import say, width
 
 
 def sensitivity(
@@ -28,8 +29,8 @@ def sensitivity(
     uncertainty: Annotated[
         Many,
         typer.Option(
-            metavar="QUANTITY=NUMBER",
-            show_default="stress_ratio=0.02, volumetric_strain=1e-4",
+            metavar="NAME=NUMBER",
+            show_default="0.02 of R, 1e-4 of volumetric strain",
             help="Of measured data, by which directions are judged. Several times.",
         ),
     ] = None,
@@ -65,13 +66,14 @@ def sensitivity(
             within = folder if len(case) == 1 else writable_folder(folder / name)
             found[name] = found_of(
                 _tests(one, packings), parameters, sigma=(sizes["ratio_sigma"], sizes["volume_sigma"]),
-                report=lambda line: print(line, flush=True),
+                report=say,
             )  # fmt: skip
-            print(f"{name}:\n{found[name]}" if len(case) > 1 else found[name], flush=True)
+            table = found[name].table(width())
+            say(f"{name}:\n{table}" if len(case) > 1 else table)
             written = found[name].save(within / "sensitivity.csv"), found[name].draw(within / "sensitivity.png")
-            print("Written: " + ", ".join(map(str, written)), flush=True)
+            say("Written: " + ", ".join(map(str, written)))
     if len(case) > 1:
-        print("\n".join(further_tests(found)))
+        say("\n".join(further_tests(found)))
 
 
 def _tests(case, packings: int) -> list:
@@ -81,7 +83,7 @@ def _tests(case, packings: int) -> list:
     tests = []
     for number in range(packings):
         seed = case.specimen.seed + number
-        print(f"packing {number + 1} of {packings}: {case.specimen.balls} balls, seed {seed}", flush=True)
+        say(f"packing {number + 1} of {packings}: {case.specimen.balls} balls, seed {seed}")
         specimen = case.specimen.model_copy(update={"seed": seed})
         tests.append(case.model_copy(update={"specimen": specimen}).build())
     return tests

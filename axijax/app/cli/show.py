@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from axijax.app.cli.errors import filling
+from axijax.app.cli.say import say
 
 AGAIN = "run it again"
 _RESULTS = typer.Argument(
@@ -20,7 +21,9 @@ def plot(
         list[str] | None,
         typer.Option(
             help="Picture of all results in one: curve, q-eps, eps_v-eps, e-log-p, q-p, friction-dilatancy, "
-            "stress-dilatancy, mohr; of each: force-network, fabric-rose, membrane-cells, section, specimen; or all. "
+            "stress-dilatancy, mohr; of each: force-network, fabric-rose, membrane-cells, section, specimen, or "
+            "animation, a film (GIF) of the "
+            "snapshots that `axijax run --snapshots` kept; or all, but for the film. "
             "May be given several times.",
             show_default="curve",
         ),
@@ -35,13 +38,14 @@ def plot(
 ) -> None:
     """Draw curves of one or several runs, compared with theory and data, and the balls, forces and membrane cells."""
     from axijax.app.figures import KINDS
+    from axijax.app.overwrite import PICTURES
     from axijax.app.plot import CURVES, plot_result
 
     kinds = kind or ["curve"]
     if "all" in kinds:
         kinds = [*CURVES, *KINDS]
     results = _open(result)
-    folder = output or (result[0] / "pictures" if len(result) == 1 and result[0].is_dir() else Path("pictures"))
+    folder = output or (result[0] / PICTURES if len(result) == 1 and result[0].is_dir() else Path(PICTURES))
     measured = _measured(data)
     with filling(folder.parent if folder.suffix else folder, AGAIN):
         paths = plot_result(results, kinds, folder, measured)
@@ -63,11 +67,12 @@ def report(
 
     Several results are compared on one page. Nothing in the page is fetched from elsewhere.
     """
+    from axijax.app.overwrite import REPORT
     from axijax.app.report import write_report
     from axijax.core.files import writable_folder
 
     results = _open(result)
-    path = output or (result[0] / "report.html" if len(result) == 1 and result[0].is_dir() else Path("report.html"))
+    path = output or (result[0] / REPORT if len(result) == 1 and result[0].is_dir() else Path(REPORT))
     if path.is_dir():
         raise ValueError(f"output '{path}' is a folder: name an HTML file in it.")
     measured = _measured(data)
@@ -130,4 +135,4 @@ def _measured(path: Path | None):
 
 
 def _tell(paths: list[Path]) -> None:
-    print("Written: " + ", ".join(str(path) for path in paths))
+    say("Written: " + ", ".join(str(path) for path in paths))

@@ -1,6 +1,7 @@
 """Fits on random packings from the command line, and the command library. Heavy imports happen inside."""
 
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -8,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from axijax.app.cli.errors import filling
+from axijax.app.cli.say import say
 
 if TYPE_CHECKING:
     from axijax.app.case import Case
@@ -24,7 +26,7 @@ def fit_file(
     from calibrate.study import StudyTest
 
     if packings is None:
-        print("the data are taken for the curve of one packing; --packings laboratory or =8 says otherwise", flush=True)
+        say("the data are taken for the curve of one packing; --packings laboratory or =8 says otherwise")
     void_ratio = curve.facts.void_ratio if void_ratio is None else void_ratio
     name = Path(curve.source).stem or "data"
     test = StudyTest(name, curve, random_scene(case), None, _packings(packings or "1"), void_ratio)
@@ -67,50 +69,36 @@ def _fit(tests: "list[StudyTest]", names, output: Path, executor: str | None = N
     again = "run it again; the runs that were made are in the library"
     with locked(folder), filling(folder, again), ExitStack() as stack:
         pool = None if executor is None else stack.enter_context(open_executor(executor))
-        report, progress = stack.enter_context(_shown())
+        progress = stack.enter_context(_shown())
         options = {name: value for name, value in options.items() if value is not None}
-        found = fit_study(tests, names, executor=pool, report=report, progress=progress, **options)
+        found = fit_study(tests, names, executor=pool, report=say, progress=progress, **options)
         found.save(folder / "fit.json", own)
         found.save_samples(folder / "samples.csv")
-        report(str(found))
+        say(str(found))
         problem = draw_afterwards("fit.png", lambda: found.draw(folder / "fit.png"))
         if problem is not None:
-            report(f"warning: {problem}")
-        report(f"written: {folder / 'fit.json'}, {folder / 'samples.csv'}, {folder / 'fit.png'}")
+            say(f"warning: {problem}")
+        say(f"written: {folder / 'fit.json'}, {folder / 'samples.csv'}, {folder / 'fit.png'}")
     return found.converged
 
 
 @contextmanager
-def _shown() -> Iterator[tuple]:
-    """What shows lines, and what shows how many runs are made and how long the rest takes."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+def _shown() -> Iterator[Callable]:
+    """What shows how many runs are made and how long the rest takes: a bar, and in a pipe a line a run."""
+    from axijax.core.bars import counting
 
-    console = Console()
-    columns = (
-        TextColumn("runs"), BarColumn(), MofNCompleteColumn(), TextColumn("at most"), TimeRemainingColumn(),
-        TextColumn("left"),
-    )  # fmt: skip
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
-        task = bars.add_task("runs", total=None)
-
-        def report(text: str) -> None:
-            if console.is_terminal:
-                console.print(text, highlight=False, soft_wrap=True, markup=False)
-            else:
-                print(text, flush=True)
+    with counting(True) as count:
 
         def progress(done: int, wanted: int, run) -> None:
-            bars.update(task, completed=done, total=wanted)
-            if not console.is_terminal:
-                ended = "failed" if run.failed else "done"
-                print(f"run {done} of at most {wanted} {ended}, {run.seconds:.1f} s", flush=True)
+            count(done, wanted)
+            if not sys.stdout.isatty():
+                say(f"run {done} of at most {wanted} {'failed' if run.failed else 'done'}, {run.seconds:.1f} s")
 
-        yield report, progress
+        yield progress
 
 
 def library(
-    action: Annotated[str, typer.Argument(help="list, or clean.")] = "list",
+    action: Annotated[str, typer.Argument(metavar="list|clean", help="What to do.")] = "list",
     scene: Annotated[
         str | None, typer.Argument(help="Of one scene: the first letters of its name.", show_default="all")
     ] = None,
@@ -129,16 +117,16 @@ def library(
 
     home = library_folder() if folder is None else folder
     if action == "clean":
-        return print(f"{clean(home, scene, failed)} runs removed from {home}")
+        return say(f"{clean(home, scene, failed)} runs removed from {home}")
     if action != "list":
         raise ValueError(f"'{action}': must be list or clean.")
     found = [one for one in listed(home) if scene is None or one.folder.name.startswith(scene)]
     if not found:
-        return print(f"no runs in {home}")
+        return say(f"no runs in {home}")
     for one in found:
         told = {name.rpartition(".")[2]: value.strip("'") for name, value in one.parts.items()}
         shown = ", ".join(f"{n} {told[n]}" for n in _SHOWN if told.get(n, "None") != "None")
-        print(
+        say(
             f"{one.folder.name}  {one.runs} runs, {one.failed} failed, {one.bytes / 1e6:.1f} MB, "
             f"{one.seconds / 60:.0f} minutes of computing; {shown or 'scene of a Python function'}"
         )
