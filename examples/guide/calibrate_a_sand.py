@@ -42,7 +42,7 @@ fit = calibrate.fit_study(
     bounds={"friction": (0.1, 0.9)},
     runs=14,
     library="library",
-    workers=2,
+    workers=1,  # in this process; more start processes, for which a script needs `if __name__ == "__main__":`
 )
 print(fit)
 
