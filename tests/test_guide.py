@@ -117,7 +117,7 @@ LOOKS = {
 
 
 def test_every_tutorial_is_looked_at():
-    """But the sand's fit, whose many packings take minutes; test_calibrate_random.py has one."""
+    """But the sand's fit, whose many packings take half a minute; test_calibrate_random.py has one."""
     assert set(LOOKS) == set(TUTORIALS) - {"calibrate_a_sand"}
 
 

@@ -18,7 +18,7 @@ README = (ROOT / "README.md").read_text()
 GUIDE = ROOT / "examples" / "guide"
 LONGEST = 1500  # words of the README
 
-# Commands that run elsewhere: the first two blocks in .ci/run, the table's rows in test_cli.py; the fit of a sand, with the
+# Commands that run elsewhere: the first two blocks in .ci/run, the table's rows in test_cli.py; a sand's fit, with the
 # same options, in test_calibrate_random.py; the shell's own state; and the site, which needs what tests do not install.
 SAND_FIT = "axijax calibrate results/sketch"
 ELSEWHERE = ("python3 -m venv", ".venv/bin/", "source .venv", "axijax table1", "pip install", SAND_FIT)
