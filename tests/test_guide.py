@@ -108,22 +108,17 @@ def gradient_health(text):
     assert healthy == "use" and sick != "use"
 
 
-def calibrate_a_sand(text):
-    low, high = numbers(rf"with 95 % between {NUMBER} and {NUMBER}", text)
-    assert 0.1 < low < 0.45 < high < 0.9
-
-
 LOOKS = {
     each.__name__: each
     for each in (
         first_test, reading_a_curve, units, own_packing, random_specimen, stress_paths, batch, gradient_health,
-        calibrate_a_sand,
     )
 }  # fmt: skip
 
 
 def test_every_tutorial_is_looked_at():
-    assert set(LOOKS) == set(TUTORIALS)
+    """But the sand's fit, whose many packings take half a minute; test_calibrate_random.py has one."""
+    assert set(LOOKS) == set(TUTORIALS) - {"calibrate_a_sand"}
 
 
 @pytest.mark.parametrize("name", sorted(LOOKS))
