@@ -6,6 +6,10 @@ Compiled programs are kept for the session only, never in the user's folder; pro
 import os
 import shutil
 import tempfile
+from pathlib import Path
+
+import jax
+import pytest
 
 import axijax
 
@@ -22,3 +26,13 @@ def pytest_configure(config):
 def pytest_unconfigure(config):
     if hasattr(config, "axijax_cache"):
         shutil.rmtree(config.axijax_cache, ignore_errors=True)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_mappings():
+    """A process may map some 65,000 pieces of memory (Linux), of which each compiled program takes several: a worker
+    that has run a thousand tests would die of it while it compiles the next."""
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_bytes().count(b"\n") > 20_000:
+        jax.clear_caches()
