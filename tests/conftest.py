@@ -29,6 +29,12 @@ def pytest_unconfigure(config):
 
 
 @pytest.fixture(scope="module", autouse=True)
+def width_of_a_pipe():
+    """Workers have no terminal; a width that they inherit or that a library sets is not what a pipe has."""
+    os.environ.pop("COLUMNS", None)
+
+
+@pytest.fixture(scope="module", autouse=True)
 def few_mappings():
     """A process may map some 65,000 pieces of memory (Linux), of which each compiled program takes several: a worker
     that has run a thousand tests would die of it while it compiles the next."""

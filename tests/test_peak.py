@@ -103,7 +103,7 @@ def test_every_command_says_that_a_rising_curve_has_no_peak(tmp_path):
     sweep = write(tmp_path / "sweep.toml", SMALL + "[sweep]\ntest.axial_strain = [0.003, 0.012]\n")
     told = axijax("batch", sweep, "--output", tmp_path / "batch", "--workers", 1)
     short, whole = sorted(line for line in told.out.splitlines() if line.startswith("test.axial"))
-    assert "largest so far" in short and "no peak" in short
+    assert "largest so far" in short and "at the last record: the curve" in short
     assert ": peak 2.87" in whole and "no peak" not in whole
     with open(tmp_path / "batch" / "summary.csv") as file:
         assert [row["peak_reached"] for row in csv.DictReader(file)] == ["False", "True"]

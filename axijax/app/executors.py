@@ -30,8 +30,10 @@ def spread(
     `work` and the items go through pickle. Raises RuntimeError where the executor broke, as a process pool does when
     one of its processes is killed; Dask does the killed process's work again instead.
     """
-    futures = [executor.submit(run_elsewhere, work, item) for item in items]
+    futures: list[Any] = []
     try:
+        for item in items:
+            futures.append(executor.submit(run_elsewhere, work, item))
         for future in as_completed(futures):
             finished(future.result())
     except BrokenExecutor as error:
