@@ -20,6 +20,7 @@ from axijax.triaxial.engine import until_balls_moved
 from axijax.triaxial.tight_steps import can_be_tight, fixed_steps, steps_until_worn, tight_list
 
 same = partial(np.testing.assert_allclose, rtol=1e-11, atol=1e-13)
+tightened = jit(tighten)
 
 
 def moved_balls(order, seed=0, on_axis=2):
@@ -31,13 +32,13 @@ def moved_balls(order, seed=0, on_axis=2):
     return network, from_rows(shift), replace(specimen, positions=specimen.positions + shift, bottom=-9.0, top=9.0)
 
 
-@pytest.mark.parametrize("order", range(1, 13))
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 5, 12])
 def test_it_holds_every_pair_that_its_balls_may_close(order):
     """Images included, each once, in the order of the contact list; and its slots sum up the same on every ball."""
     network, shift, now = moved_balls(order)
     network = replace(network, tight=Room(2000, 200))
     allowed = np.random.default_rng(9).uniform(0.0, 0.1, 25)
-    tight = jax.jit(tighten)(network, shift, jnp.asarray(allowed))
+    tight = tightened(network, shift, jnp.asarray(allowed))
     assert bool(tight.fits)
     grown = replace(now, radius=now.radius + allowed)
     found, on_axis = listed(tight.network), (np.hypot(*now.positions[:2]) == 0) & (order > 1)
@@ -57,13 +58,13 @@ def test_it_holds_every_pair_that_its_balls_may_close(order):
 @pytest.mark.parametrize("room", [Room(8, 200), Room(2000, 2)])
 def test_it_says_when_it_has_no_room(room):
     network, shift, _ = moved_balls(3)
-    tight = tighten(replace(network, tight=room), shift, jnp.full(25, 0.1))
+    tight = tightened(replace(network, tight=room), shift, jnp.full(25, 0.1))
     assert not bool(tight.fits) and not bool(tight.holds(jnp.zeros(25)))
 
 
 def test_it_holds_until_one_ball_has_moved_by_more_than_it_was_allowed():
     network, shift, _ = moved_balls(4)
-    tight = tighten(replace(network, tight=Room(2000, 200)), shift, jnp.linspace(0.01, 0.02, 25))
+    tight = tightened(replace(network, tight=Room(2000, 200)), shift, jnp.linspace(0.01, 0.02, 25))
     for ball in (0, 13, 24):
         for share, holds in ((0.999, True), (1.001, False)):
             away = np.zeros((3, 25))
@@ -98,27 +99,39 @@ def shot(order, speed):
 @pytest.mark.parametrize("order", [1, 5])
 def test_a_ball_shot_into_a_hole_meets_what_is_behind_it(order):
     """With slow and fast flights: contacts come and go, and all is as with the whole list, to rounding."""
-    for speed in (2.0, 40.0):
-        network, start, step = shot(order, speed)
-        number, dt = int(7.0 / speed / 1e-3) // 50 * 50 + 25, 1e-3
-        whole = jit(lambda s: jax.lax.fori_loop(0, number, lambda _, s: step(network, s), s))(start)  # noqa: B023
-        first = tight_list(network, start, dt, 50)
-        fixed = jit(lambda s: fixed_steps(step, network, dt, first, s, number))(start)  # noqa: B023
+    network, _, step = shot(order, 0.0)
+    dt, short = 1e-3, 175  # of the fast flight; the slow one is so many of them, so that one program does for both
+
+    def until(state, most):
+        return until_balls_moved(lambda s: step(network, s), network, dt, most, state)
+
+    def wear(state):
+        return closing(network, state.displacement) / (2 * network.skin)
+
+    @jit
+    def with_all(state, number):
+        return jax.lax.fori_loop(0, number, lambda _, s: step(network, s), state)
+
+    @jit
+    def fixed(state):
+        return fixed_steps(step, network, dt, tight_list(network, state, dt, 50), state, short)
+
+    @jit
+    def run(state, number):
+        first = tight_list(network, state, dt, 50)
+        return steps_until_worn(step, network, dt, first, state, number, 50, 10, wear, until)
+
+    for speed, flights in ((2.0, 20), (40.0, 1)):
+        _, start, _ = shot(order, speed)
+        number = flights * short
+        whole = with_all(start, number)
         assert float(np.abs(np.asarray(whole.velocity)[:, 9]).max()) > 0.1 * speed, "the wall was hit"
-
-        def until(state, most):
-            return until_balls_moved(lambda s: step(network, s), network, dt, most, state)  # noqa: B023
-
-        def wear(state):
-            return closing(network, state.displacement) / (2 * network.skin)  # noqa: B023
-
-        @jit
-        def run(state):
-            return steps_until_worn(step, network, dt, first, state, number, 50, 10, wear, until)  # noqa: B023
-
-        state, taken, _ = run(start)
+        in_blocks = start
+        for _ in range(flights):
+            in_blocks = fixed(in_blocks)
+        state, taken, _ = run(start, number)
         assert int(taken) == number
-        for other in (fixed, state):
+        for other in (in_blocks, state):
             jax.tree.map(same, other, whole)
 
 

@@ -26,6 +26,7 @@ from axijax.triaxial.test import TriaxialTest
 SKIN = 0.3
 WIDTH, CONTACTS = 124, 624  # enough for every order: few programs are compiled
 GRID = Grid((5, 5, 4), 90)
+ORDERS = [1, 2, 3, 4, 5, 12]  # none, a ball and its one image, odd and even, and more images than a ball has neighbours
 
 jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
@@ -52,7 +53,7 @@ def scene(order, dtype=np.float64, boundary="periodic", seed=0):
     return specimen, sector, network, moves.astype(dtype).astype(float)
 
 
-@pytest.mark.parametrize("order, boundary", [*((order, "periodic") for order in range(1, 13)), (3, "rigid")])
+@pytest.mark.parametrize("order, boundary", [*((order, "periodic") for order in ORDERS), (3, "rigid")])
 def test_updated_list_is_that_of_every_pair_and_of_the_host(order, boundary):
     """The same pairs as a search over all images; in every array the list that the host builds; springs as it carries
     them; and each contact acts on both its balls."""
@@ -225,7 +226,7 @@ def oracle(order):
     return specimen, moves, ours, ours.allocate(specimen), theirs, neighbors
 
 
-@pytest.mark.parametrize("order", [1, 2, 3, 4, 5, 12])
+@pytest.mark.parametrize("order", ORDERS)
 def test_jax_md_finds_the_same_pairs_and_tangents_among_all_images(order):
     """After `allocate`, and after each of three updates of a packing that moves; with tangents of all distances."""
     specimen, moves, ours, network, theirs, neighbors = oracle(order)
