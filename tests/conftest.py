@@ -1,6 +1,7 @@
 """Tests run with the fast kernels that the command line uses; they must be switched on before the first computation.
 
-Compiled programs are kept for the session only, never in the user's folder; processes that tests start share them.
+Compiled programs are kept for the session only, never in the user's folder; all workers and the processes that tests
+start share them.
 """
 
 import os
@@ -8,19 +9,31 @@ import shutil
 import tempfile
 from pathlib import Path
 
+import axijax  # isort: skip  (before jax: it quietens XLA)
 import jax
 import pytest
 
-import axijax
-
 axijax.fast_cpu_kernels()
+
+# Modules that take half a minute and more begin first, the longest at the head, or else one worker is left with them
+# while the others have nothing to do.
+LONGEST = (
+    "test_readme", "test_guide", "test_calibrate_gradients", "test_limits", "test_time_step", "test_symmetry",
+    "test_calibrate_random", "test_volume", "test_stages", "test_energy", "test_table1", "test_gradients",
+    "test_thornton", "test_nothing_lost", "test_executors", "test_batch", "test_tight_list",
+    "test_calibrate_functionals", "test_calibrate_study", "test_update",
+)  # fmt: skip
 
 
 def pytest_configure(config):
-    if hasattr(config, "workerinput"):  # pytest-xdist's workers inherit the folder
-        return
-    config.axijax_cache = tempfile.mkdtemp(prefix="axijax-cache-")
-    os.environ["AXIJAX_CACHE"] = config.axijax_cache
+    if not hasattr(config, "workerinput"):  # pytest-xdist's workers inherit the folder
+        config.axijax_cache = tempfile.mkdtemp(prefix="axijax-cache-")
+        os.environ["AXIJAX_CACHE"] = config.axijax_cache
+    axijax.use_compilation_cache()
+
+
+def pytest_collection_modifyitems(items):
+    items.sort(key=lambda item: LONGEST.index(item.path.stem) if item.path.stem in LONGEST else len(LONGEST))
 
 
 def pytest_unconfigure(config):
