@@ -9,8 +9,13 @@ from axijax import Sector, fcc_octagon, packing, packing_of, random_cylinder
 from axijax.mechanics.outer_balls import outer_balls
 from axijax.specimen.specimen import cut_to_sector
 
-RANDOM = random_cylinder(60, sector=Sector(1), seed=2)[0]
 OCTAGON = fcc_octagon(layers=7)
+
+
+@pytest.fixture(scope="module")
+def packed():
+    """Balls at random; not made while tests are collected, which every worker does."""
+    return random_cylinder(60, sector=Sector(1), seed=2)[0]
 
 
 def written(path, specimen, header="x [mm],y [mm],z [mm],Radius [mm],material"):
@@ -19,23 +24,23 @@ def written(path, specimen, header="x [mm],y [mm],z [mm],Radius [mm],material"):
     return path
 
 
-def test_a_file_gives_back_the_balls_to_the_last_bit(tmp_path):
+def test_a_file_gives_back_the_balls_to_the_last_bit(packed, tmp_path):
     for path in (tmp_path / "balls.csv", tmp_path / "balls.nc"):
         if path.suffix == ".csv":
-            written(path, RANDOM)
+            written(path, packed)
         else:
-            columns = dict(zip("xyz", RANDOM.positions, strict=True), radius=RANDOM.radius)
+            columns = dict(zip("xyz", packed.positions, strict=True), radius=packed.radius)
             xarray.Dataset({name: ("ball", values) for name, values in columns.items()}).to_netcdf(path, engine="scipy")
         read = packing(path)
-        np.testing.assert_array_equal(read.positions, RANDOM.positions)
-        np.testing.assert_array_equal(read.radius, RANDOM.radius)
-        assert read.bottom == (RANDOM.positions[2] - RANDOM.radius).min()
-        assert read.top == (RANDOM.positions[2] + RANDOM.radius).max()
-        found = outer_balls(RANDOM.positions, RANDOM.radius, read.bottom, read.top, Sector(1))
+        np.testing.assert_array_equal(read.positions, packed.positions)
+        np.testing.assert_array_equal(read.radius, packed.radius)
+        assert read.bottom == (packed.positions[2] - packed.radius).min()
+        assert read.top == (packed.positions[2] + packed.radius).max()
+        found = outer_balls(packed.positions, packed.radius, read.bottom, read.top, Sector(1))
         np.testing.assert_array_equal(read.membrane_zone, found)
 
 
-def test_a_lattice_from_outside_is_the_lattice():
+def test_a_lattice_from_outside_is_the_lattice(packed):
     """Its outer balls are those of the paper's rule, its platens those of the lattice, and its sectors can be cut."""
     outside = packing_of(OCTAGON.positions, OCTAGON.radius)
     np.testing.assert_array_equal(outside.membrane_zone, OCTAGON.membrane_zone)
@@ -43,7 +48,7 @@ def test_a_lattice_from_outside_is_the_lattice():
     cuts = [cut_to_sector(specimen, Sector(4)) for specimen in (outside, OCTAGON)]
     np.testing.assert_array_equal(cuts[0].positions, cuts[1].positions)
     with pytest.raises(ValueError, match="same after a turn"):
-        cut_to_sector(packing_of(RANDOM.positions, RANDOM.radius), Sector(2))
+        cut_to_sector(packing_of(packed.positions, packed.radius), Sector(2))
 
 
 @pytest.mark.parametrize(
@@ -82,9 +87,9 @@ def test_a_file_that_cannot_be_read_is_refused_by_a_sentence(tmp_path, text, tol
     assert told in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_a_case_with_a_packing_runs_and_its_result_needs_the_file_no_more(tmp_path):
+def test_a_case_with_a_packing_runs_and_its_result_needs_the_file_no_more(packed, tmp_path):
     """The path is that of the case file's folder; the result keeps the balls, for check, resume and report."""
-    balls = written(tmp_path / "balls.csv", RANDOM)
+    balls = written(tmp_path / "balls.csv", packed)
     case = tmp_path / "own.toml"
     case.write_text(
         '[specimen]\nkind = "file"\npath = "balls.csv"\n[sector]\norder = 1\n[parameters]\nfriction = 0.4\n'
