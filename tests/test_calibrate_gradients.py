@@ -222,7 +222,7 @@ def gaps_to_differences(found, place) -> dict[str, float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("friction", [0.05, 0.12278, 0.2, 0.3])
+@pytest.mark.parametrize("friction", [0.05, 0.3])  # between them 0.12278, in tests/validation/test_gradients.py
 def test_paper_specimen_against_differences(paper_model, friction):
     peaks, limits = (PEAKS_STRONG, LIMITS_STRONG) if friction == 0.3 else (PEAKS, LIMITS)
 
@@ -253,7 +253,7 @@ def lattice_model():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("friction", [0.05, 0.12278, 0.2, 0.3])
+@pytest.mark.parametrize("friction", [0.05, 0.3])
 def test_lattice_without_rotation_has_the_slope_of_the_formula(lattice_model, friction):
     """dR/df of the plateau is 4/(1-f)^2 to 1 %. The hard maximum is the crest of a ripple of 0.1 %, whose own slope
     is up to 8 % off the formula's; there the tangent is held against differences only."""

@@ -95,7 +95,7 @@ def test_other_cubic_lattices(lattice, known):
     assert 0 < large < 0.03 and large < 0.35 * small
 
 
-@pytest.mark.parametrize("damping_ratio", [0.0, 0.05, 0.1, 0.3])
+@pytest.mark.parametrize("damping_ratio", [0.0, 0.05, 0.3])
 @pytest.mark.parametrize("stiffness_ratio", [1.0, 0.8, 0.5, 2 / 7, 0.25, 0.2, 0.15, 0.1])
 def test_stiffness_ratio_and_dashpots(stiffness_ratio, damping_ratio):
     """Against the lattice's two modes. Around ks/kn = 0.2 dashpots make the spin mode the worst although it is not
@@ -252,10 +252,8 @@ def peak(damping, step, friction, boundary="periodic", axial_strain=0.006):
     ("damping", "step", "friction"),
     [
         (LocalDamping(), 0.30, 0.3),
-        (LocalDamping(), 0.32, 0.3),
         (LocalDamping(), 0.32, 0.12278),
         (Dashpot(0.3), 0.15, 0.3),
-        (Dashpot(0.3), 0.15, 0.2),
         (Dashpot(0.3), 0.15, 0.05),
     ],
 )
@@ -281,7 +279,6 @@ def test_the_guard_catches_the_silent_wrong_peaks(damping, step, friction):
         (LocalDamping(), 0.25, 0.12278, "rigid", 0.006),
         (Dashpot(0.05), 0.15, 0.02, "periodic", 0.006),
         (Dashpot(0.05), 0.15, 0.12278, "rigid", 0.006),
-        (Dashpot(0.1), 0.15, 0.3, "periodic", 0.006),
         (Dashpot(0.05), 0.15, 0.3, "periodic", 0.05),
         (Dashpot(0.05), 0.15, 0.9, "periodic", 0.02),
         (Dashpot(0.3), 0.08, 0.3, "periodic", 0.006),

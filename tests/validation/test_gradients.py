@@ -1,6 +1,7 @@
 """The map from parameters to a curve under jit, vmap, jvp and grad, against central differences of the same run."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +9,9 @@ import numpy as np
 import pytest
 
 from axijax import Params, Sector, TriaxialTest, fcc_octagon
+
+# Of the small test, which runs briefly: not worth optimising.
+jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 
 def window_mean(curve, low, high):
@@ -37,13 +41,12 @@ def small():
 
 
 def test_batch_equals_one_at_a_time(small):
-    @jax.jit
     def ratios(friction):
         return small.simulate(replace(small.params, friction=friction)).stress_ratio
 
-    frictions = jnp.asarray([0.1, 0.2, 0.3])
-    for friction, curve in zip(frictions, jax.jit(jax.vmap(ratios))(frictions), strict=True):
-        np.testing.assert_allclose(curve, ratios(friction), rtol=1e-9)
+    frictions, one = jnp.asarray([0.1, 0.2, 0.3]), jit(ratios)
+    for friction, curve in zip(frictions, jit(jax.vmap(ratios))(frictions), strict=True):
+        np.testing.assert_allclose(curve, one(friction), rtol=1e-9)
 
 
 def test_derivatives_in_every_parameter(small):
@@ -51,16 +54,15 @@ def test_derivatives_in_every_parameter(small):
     names = ("friction", "normal_stiffness", "shear_stiffness", "confining_stress", "damping_ratio", "density")
     values = np.array([float(getattr(small.params, name)) for name in names])
 
-    @jax.jit
     def early(log_factors):
         scaled = dict(zip(names, values * jnp.exp(log_factors), strict=True))
         return small.simulate(replace(small.params, **scaled)).stress_ratio[20]
 
-    slopes = jax.jit(jax.jacfwd(early))(jnp.zeros(len(names)))
+    slopes, value = jit(jax.jacfwd(early))(jnp.zeros(len(names))), jit(early)
     h = 1e-5
     for place, name in enumerate(names):
         step = jnp.zeros(len(names)).at[place].set(h)
-        differences = float(early(step) - early(-step)) / (2 * h)
+        differences = float(value(step) - value(-step)) / (2 * h)
         assert float(slopes[place]) == pytest.approx(differences, rel=1e-3, abs=1e-5), name
     assert np.abs(slopes[:4]).min() > 1e-3  # friction, stiffnesses and stress do matter here
 
@@ -72,8 +74,9 @@ def test_friction_per_ball_adds_up_to_the_scenes(small):
     def early(friction):
         return small.simulate(replace(base, friction=friction)).stress_ratio[20]
 
-    value, common = jax.jvp(early, (0.1,), (1.0,))
-    each, along = jax.jvp(early, (jnp.full(count, 0.1),), (jnp.ones(count),))
+    tangent = jit(lambda at, by: jax.jvp(early, (at,), (by,)))
+    value, common = tangent(0.1, 1.0)
+    each, along = tangent(jnp.full(count, 0.1), jnp.ones(count))
     assert float(each) == pytest.approx(float(value), rel=1e-12)
     assert float(along) == pytest.approx(float(common), rel=1e-9)
 
@@ -82,7 +85,8 @@ def test_without_friction_there_is_no_coefficient_and_no_tangential_spring(small
     params = Params(friction=None)
     assert len(jax.tree.leaves(params)) == len(jax.tree.leaves(small.params)) - 1
     lean = TriaxialTest(small.specimen, small.sector, params=params, axial_strain=0.001, record_every=20)
-    _, slope = jax.jvp(
-        lambda ks: lean.simulate(replace(params, shear_stiffness=ks)).stress_ratio[-1], (1.5e9,), (1.5e8,)
-    )
-    assert float(slope) == 0.0
+
+    def last(ks):
+        return lean.simulate(replace(params, shear_stiffness=ks)).stress_ratio[-1]
+
+    assert float(jit(lambda ks: jax.jvp(last, (ks,), (1.5e8,))[1])(1.5e9)) == 0.0

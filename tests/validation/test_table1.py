@@ -1,6 +1,7 @@
 """Table 1 of Cui & O'Sullivan (2005) against the paper, Thornton's formula and an independent program."""
 
 from dataclasses import replace
+from functools import lru_cache, partial
 
 import numpy as np
 import pytest
@@ -29,6 +30,12 @@ def quarter():
 
 
 @pytest.fixture(scope="module")
+def sheared(quarter):
+    """Friction -> curve of the quarter, each run once."""
+    return lru_cache(partial(run, quarter))
+
+
+@pytest.fixture(scope="module")
 def rigid():
     return TriaxialTest(fcc_octagon(), Sector(4, "rigid"), axial_strain=0.008)
 
@@ -48,9 +55,9 @@ def test_the_quarter_has_the_right_balls(quarter):
 
 
 @pytest.mark.parametrize("friction", PERIODIC)
-def test_periodic_rows(quarter, friction):
+def test_periodic_rows(sheared, friction):
     paper, independent = PERIODIC[friction]
-    curve = run(quarter, friction)
+    curve = sheared(friction)
     place = int(np.argmax(curve.stress_ratio))
     assert float(curve.stress_ratio[place]) == pytest.approx(paper, rel=0.015)
     assert float(curve.stress_ratio[place]) == pytest.approx(independent, rel=2e-3)
@@ -81,12 +88,12 @@ def test_rigid_rows(rigid, friction):
     assert low * 0.995 < peak < high * 1.005
 
 
-def test_confinement_is_isotropic_and_elastic(quarter):
+def test_confinement_is_isotropic_and_elastic(sheared):
     """Just after confinement: s1 = s3 by platens and by membrane, no sliding; then the lattice's Young's modulus.
 
     A close packing with kn = ks has E = sqrt(2) K / r; the octagon's boundary softens it a little.
     """
-    curve = run(quarter, 0.3)
+    curve = sheared(0.3)
     assert float(curve.stress_ratio[0]) == pytest.approx(1.0, abs=1e-6)
     early = np.asarray(curve.axial_strain) < 2e-4
     slope = np.polyfit(np.asarray(curve.axial_strain)[early], np.asarray(curve.stress_ratio)[early], 1)[0]

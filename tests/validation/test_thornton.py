@@ -8,7 +8,7 @@ import pytest
 from axijax import Params, Scene, Sector, TriaxialTest, fcc_octagon, raise_for_status
 from axijax.mechanics.lattice_load import lattice_load
 
-FRICTIONS = (0.0, 0.05, 0.12278, 0.2, 0.25, 0.3)
+FRICTIONS = (0.0, 0.05, 0.12278, 0.3)
 
 
 def lattice_test(rotation: bool) -> TriaxialTest:
