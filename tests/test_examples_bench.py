@@ -105,12 +105,12 @@ def test_pareto_front_and_fastest_within_a_tolerance(tmp_path):
 
 
 def test_gpu_check_measures_a_batch_and_says_what_fails(tmp_path):
-    """A batch by vmap is the shears one by one; an option that XLA does not know is a sentence, and the rest goes on."""
+    """A batch by vmap is timed; an option that XLA does not know is a sentence, and the rest goes on."""
     first, turn = axijax_gpu.device(tmp_path, True)
     assert first["copy GB/s"] > 0 and turn["us"] > 0
     test = axijax_shear.make_test({"specimen": {"layers": 3}, "order": 4, "test": {"axial_strain": 0.006}})
     shear = axijax_gpu.from_rest(test, np.float32)
-    assert shear.load.areas.dtype == shear.prepared.network.dtype == np.float32
+    assert shear.load.lateral.dtype == shear.prepared.network.dtype == np.float32
     batch = axijax_gpu.Job({"what": "two"}, shear, 2, tests=2)
     row, failed = axijax_gpu.timed([batch, axijax_gpu.Job({"what": "none"}, shear, 2, options={"xla_nothing": 1})])
     assert row["balls"] == 2 * len(test.cut) and row["M ball-steps/s"] > 0 and "failed" not in row
