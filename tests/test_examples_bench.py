@@ -11,8 +11,10 @@ import axijax
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 sys.path[:0] = [str(EXAMPLES), str(EXAMPLES / "peers")]
 
+import axijax_gpu  # noqa: E402
 import axijax_shear  # noqa: E402
 import benchmark  # noqa: E402
+import gpu_check  # noqa: E402
 import peers  # noqa: E402
 import speed_accuracy  # noqa: E402
 
@@ -100,3 +102,20 @@ def test_pareto_front_and_fastest_within_a_tolerance(tmp_path):
     speed_accuracy.draw(study)
     assert (tmp_path / "speed_accuracy.png").stat().st_size > 10_000
     assert "| 1 % | ours | 1 |" in (tmp_path / "fastest.md").read_text()
+
+
+def test_gpu_check_measures_a_batch_and_says_what_fails(tmp_path):
+    """A batch by vmap is timed; an option that XLA does not know is a sentence, and the rest goes on."""
+    first, turn = axijax_gpu.device(tmp_path, True)
+    assert first["copy GB/s"] > 0 and turn["us"] > 0
+    test = axijax_shear.make_test({"specimen": {"layers": 3}, "order": 4, "test": {"axial_strain": 0.006}})
+    shear = axijax_gpu.from_rest(test, np.float32)
+    assert shear.load.lateral.dtype == shear.prepared.network.dtype == np.float32
+    batch = axijax_gpu.Job({"what": "two"}, shear, 2, tests=2)
+    row, failed = axijax_gpu.timed([batch, axijax_gpu.Job({"what": "none"}, shear, 2, options={"xla_nothing": 1})])
+    assert row["balls"] == 2 * len(test.cut) and row["M ball-steps/s"] > 0 and "failed" not in row
+    assert "xla_nothing" in failed["failed"] and "M ball-steps/s" not in failed
+    for each in (first, row, failed):
+        gpu_check.append(tmp_path, "batches", each)
+    text = gpu_check.tables(gpu_check.read_rows(tmp_path))
+    assert text.startswith("**batches**") and "xla_nothing" in text and f"| {row['balls']} |" in text

@@ -151,6 +151,38 @@ def test_a_kick_that_no_list_foresaw_is_caught():
     jax.tree.map(same, tight, whole)
 
 
+def test_members_of_a_vmap_are_caught_one_by_one_and_pay_for_the_whole_list_only_then():
+    """One ball driven, the other member's let be: both as with the whole list, springs too; and what is taken again
+    stays a branch, not a select of two results that are both computed."""
+    network, start, step = shot(1, 0.0)
+    number = 75
+
+    def driven(kick):
+        def one(network, state):
+            after = step(network, state)
+            x, y, z = after.velocity
+            return after._replace(velocity=Vector(x - kick * (jnp.arange(10) == 8), y, z))
+
+        return one
+
+    def tightly(kick):
+        first = tight_list(network, start, 1e-3, 50)
+        return fixed_steps(driven(kick), network, 1e-3, first, start, number)
+
+    @jit
+    def loosely(kick):
+        return jax.lax.fori_loop(0, number, lambda _, s: driven(kick)(network, s), start)
+
+    kicks = jnp.array([0.0, 2.0, 1e-6])
+    whole = [loosely(kick) for kick in kicks]
+    assert float(whole[1].velocity.x[9]) < 0 and float(whole[0].velocity.x[9]) == 0
+    together = jit(jax.vmap(tightly))(kicks)
+    for member, alone in enumerate(whole):
+        jax.tree.map(lambda many, one, member=member: same(many[member], one), together, alone)
+    branches = [str(jax.make_jaxpr(f)(kicks)).count(" cond[") for f in (lambda k: tightly(k[0]), jax.vmap(tightly))]
+    assert branches[0] == branches[1] > 0
+
+
 def test_a_random_specimen_runs_as_with_the_whole_list():
     """Curves of `run` and `simulate` with and without it are equal to rounding, derivatives too."""
     specimen, report = random_cylinder(96, Sector(4), seed=3, tolerance=1e-2)

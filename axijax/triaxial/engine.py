@@ -155,7 +155,9 @@ def march_until(
     """A stage from a state as long as its path goes on, with a record whenever one is due.
 
     records: places for records, see `limit`; None for no such end, and none are kept.
-    until_worn: stop as well where a list is worn, in the middle of a record's steps if need be.
+    until_worn: stop as well where a list is worn, in the middle of a record's steps if need be. Where it is not, `due`
+        is `record_every`, a number of steps that is known to the compiler: on a GPU the host then need not ask after
+        each step whether there is another, and a vmap need not choose between old and new after each.
     every_step: look at every step how far the balls have moved, see `until_balls_moved`.
     due: steps until the next record is due, zero for now. steps: taken before. fresh: the lists were just rebuilt, so
         that it goes on at least a little whatever they look like.
@@ -183,15 +185,16 @@ def march_until(
         def with_all(state, most):
             return until_balls_moved(lambda s: step(load, network, s), network, dt, most, state, every_step)
 
-        if tightly:
-            worn = partial(_list_wear, network) if until_worn else lambda state: jnp.zeros(())
+        if not until_worn:
+            state = fixed_steps(partial(step, load), network, dt, tight, state, record_every)
+            tight = tight_list(network, state, dt, record_every) if tightly else None
+        elif tightly:
+            worn = partial(_list_wear, network)
             state, taken, tight = steps_until_worn(
                 partial(step, load), network, dt, tight, state, now.due, record_every, STRIDE, worn, with_all
             )
-        elif until_worn:
-            state, taken = with_all(state, now.due)
         else:
-            state = jax.lax.fori_loop(0, now.due, lambda _, s: step(load, network, s), state)
+            state, taken = with_all(state, now.due)
         load = current_load(membrane, network, state, fixed)
         found, status = observed(partial(observe_and_check, load), network, tight, state)
         due = now.due - taken

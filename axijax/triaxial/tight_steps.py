@@ -6,11 +6,13 @@ between balls that do not touch.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from axijax.core.together import all_of_batch
 from axijax.mechanics.contact_list import ContactList, closing
 from axijax.mechanics.dynamics import terms_of
 from axijax.mechanics.params import Params
@@ -36,7 +38,7 @@ def observed(see: Callable[[ContactList, State], Any], network: ContactList, tig
     if tight is None:
         return see(network, state)
     inside = state._replace(memory=tight.memory_in(state.memory))
-    return jax.lax.cond(tight.fits, lambda: see(tight.network, inside), lambda: see(network, state))
+    return jax.lax.cond(all_of_batch(tight.fits), lambda: see(tight.network, inside), lambda: see(network, state))
 
 
 def fixed_steps(step: Step, network: ContactList, dt, tight: Tight | None, state: State, steps: int) -> State:
@@ -66,7 +68,12 @@ def _block(step: Step, network: ContactList, tight: Tight, state: State, steps: 
     (after, farthest), _ = jax.lax.scan(further, (inside, jnp.zeros_like(tight.allowed)), None, length=steps)
     after = after._replace(memory=tight.memory_out(after.memory, state.memory))
 
-    return jax.lax.cond(tight.holds(farthest), lambda: after, lambda: _with_all(step, network, state, steps))
+    good = tight.holds(farthest)
+
+    def mended():
+        return jax.tree.map(partial(jnp.where, good), after, _with_all(step, network, state, steps))
+
+    return jax.lax.cond(all_of_batch(good), lambda: after, mended)
 
 
 def _with_all(step: Step, network: ContactList, state: State, steps: int) -> State:
