@@ -85,8 +85,12 @@ def work(options, specimen: tuple[str, int]) -> None:
         except (ValueError, RuntimeError) as error:
             found = {"failed": str(error)}
         path = file_of(options, density, seed, friction, rolling)
-        write_whole(path, lambda part, text=json.dumps(found): part.write_text(text))
+        write_whole(path, partial(write_text, json.dumps(found)))
         print(f"{path.stem}: {time.perf_counter() - started:.0f} s {found.get('failed', '')}", flush=True)
+
+
+def write_text(text: str, path: Path) -> None:
+    path.write_text(text)
 
 
 def pairs():
@@ -119,7 +123,7 @@ def draw(rows: list[dict], path: Path) -> None:
     """Per density: the numbers over the map, and strength against dilatancy with the sands' own points."""
     import matplotlib.pyplot as plt
 
-    figure, panels = plt.subplots(2, 4, figsize=(15, 7.2), constrained_layout=True)
+    figure, panels = plt.subplots(2, 4, figsize=(17, 7.2), constrained_layout=True)
     for (density, sands), line in zip(SANDS.items(), panels, strict=True):
         mine = {(row["friction"], row["rolling_friction"]): row for row in rows if row["density"] == density}
         voids = np.mean([row["void_ratio"] for row in mine.values()])
@@ -150,7 +154,7 @@ def draw_reach(axes, mine: dict, sands: dict) -> None:
     for (name, (angle, dilatancy, _)), marker in zip(sands.items(), "PX", strict=False):
         axes.plot(angle, dilatancy, marker, color="crimson", ms=9, mec="white", label=name)
     axes.set(xlabel=NUMBERS["peak"], ylabel=NUMBERS["dilatancy"])
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
 
 
 def nearest(rows: list[dict]) -> None:

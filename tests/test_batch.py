@@ -20,6 +20,8 @@ import axijax
 from axijax.app.batch import Member, open_batch, parameter_grid, run_batch, simulate_many
 from axijax.app.batch_files import identity
 from axijax.app.cli.batch import load_sweep
+from axijax.app.labels import Lines
+from axijax.app.results import open_results
 from axijax.core import platform
 from axijax.core.parallel import parallel
 from axijax.triaxial.records import records_of
@@ -97,6 +99,18 @@ def test_one_data_set_of_all(batch):
     assert "40.0,dashpot," in row
     assert np.isnan(data.sel(member="friction=0.2").radius)
     assert data.sel(member=list(result.curves)).equals(result.dataset())
+
+
+def test_its_members_are_drawn_by_what_they_differ_in(batch):
+    """As many results, with the frictions for names; the folder is what `axijax plot` is given."""
+    folder, result, _ = batch
+    opened = open_results(folder)
+    assert {each.name for each in opened} == set(result.curves)
+    for each in opened:
+        assert np.array_equal(each.curve.stress_ratio, result.curves[each.name].stress_ratio)
+    varied = [each for each in opened if each.name != "large"]
+    told = [name for _, name, _ in Lines(varied).each]
+    assert told == [f"friction {float(each.curve.friction):g}" for each in varied]
 
 
 def test_run_again_computes_only_what_is_missing(batch, runs):

@@ -18,7 +18,7 @@ from small_result import CASE
 from typer.testing import CliRunner
 
 from axijax.app import figures as pictures
-from axijax.app import labels, paraview, plot
+from axijax.app import labels, paraview, plot, soil_figures
 from axijax.app.case import Case
 from axijax.app.checks import result_checks
 from axijax.app.report import report_page
@@ -189,6 +189,31 @@ def test_curves_theory_and_data_are_drawn_as_they_are(result, folder):
     np.testing.assert_allclose(lines["measured, lab.csv"].get_xydata(), [[0.1, 2], [0.2, 3]])
     np.testing.assert_allclose(lower.lines[0].get_ydata(), 100 * result.curve.volumetric_strain)
     assert "[%]" in lower.get_xlabel() and "[-]" in upper.get_ylabel()
+
+
+def test_many_runs_that_differ_in_one_number_are_told_apart_by_a_scale(result, folder):
+    """Six stiffnesses over two decades, out of order, on a logarithmic scale; a second difference makes six names."""
+    from matplotlib import colormaps
+
+    def varied(**fields):
+        other = open_result(folder)
+        parameters = result.case.parameters.model_copy(update=fields)
+        other.__dict__["case"] = result.case.model_copy(update={"parameters": parameters})
+        return other
+
+    values = [1e9, 1e10, 3e8, 3e9, 1e8, 3e10]
+    for draw in (plot.curve_figure, soil_figures.q_strain):
+        figure = draw([varied(normal_stiffness=value) for value in values])
+        *curves, scale = figure.axes
+        assert scale.get_ylabel() == "normal stiffness" and scale.get_yscale() == "log"
+        records = [line for line in curves[0].lines if len(line.get_xdata()) == result.curve.sizes["axial_strain"]]
+        assert len(records) == len(values) and not any(line.get_label().strip("_child0123456789") for line in records)
+        colours = [line.get_color() for line in records]
+        shares = [np.log(value / 1e8) / np.log(300) for value in values]
+        np.testing.assert_allclose(colours, [colormaps["viridis"](share) for share in shares], atol=0.01)
+    mixed = [varied(normal_stiffness=value, friction=0.1 + k / 10) for k, value in enumerate(values)]
+    names = [line.get_label() for line in plot.curve_figure(mixed).axes[0].lines]
+    assert "friction 0.1, normal stiffness 1e+09" in names
 
 
 def test_runs_are_named_by_what_was_chosen_not_by_what_follows(result):

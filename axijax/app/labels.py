@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
     from axijax.app.case import Case
 
+MISSING = object()  # in place of a field that a case does not have
+FEW = 5  # results that are told apart by a line each
+
 LETTERS = 10.5  # points; 7 at the width of a telephone for a picture of 5.6 inches
 
 
@@ -49,32 +52,41 @@ def case_of(result: Result) -> "Case | None":
         return None
 
 
+def _differing(results: Sequence[Result]) -> dict[str, list[Any]]:
+    """The fields in which the results' cases differ, "section.field", and each result's value, MISSING where it has no
+    such field; empty for one result, and where one says nothing of itself."""
+    flat = [fields for result in results if (fields := _fields(result))]
+    if len(results) < 2 or len(flat) < len(results):
+        return {}
+    known = dict.fromkeys(field for fields in flat for field in fields)
+    # The time step that a run has chosen follows from the rest.
+    known.pop("test.time_step", None)
+    # A field that only some have follows from one that differs, such as contact_law.
+    differing = [field for field in known if len({repr(fields[field]) for fields in flat if field in fields}) > 1]
+    return {field: [fields.get(field, MISSING) for fields in flat] for field in differing}
+
+
+def _fields(result: Result) -> dict[str, Any]:
+    """"section.field" and value of a result's case; where it has kept none, the numbers that stand beside its curve, as
+    beside those of a batch."""
+    case = case_of(result)
+    if case is None:
+        scalars = {name: each for name, each in result.curve.coords.items() if not each.ndim}
+        return {f"batch.{name}": each.item() for name, each in scalars.items() if each.dtype.kind in "fi"}
+    return {f"{part}.{name}": value for part, fields in case.sections().items() for name, value in fields.items()}
+
+
 def labels(results: Sequence[Result]) -> list[str]:
     """A name for each of several results: the fields in which their cases differ, or else what they are called."""
     names = [result.name for result in results]
-    cases = [case_of(result) for result in results]
-    if len(results) > 1 and all(case is not None for case in cases):
-        flat = [
-            {
-                f"{section}.{field}": value
-                for section, fields in case.sections().items()
-                for field, value in fields.items()
-            }
-            for case in cases
-            if case is not None
-        ]
-        known = dict.fromkeys(field for fields in flat for field in fields)
-        # The time step that a run has chosen follows from the rest.
-        known.pop("test.time_step", None)
-        # A field that only some have follows from one that differs, such as contact_law.
-        differing = [field for field in known if len({repr(fields[field]) for fields in flat if field in fields}) > 1]
+    if differing := _differing(results):
         told = [
             ", ".join(
-                f"{field.split('.')[1].replace('_', ' ')} {_short(fields[field])}"
-                for field in differing
-                if field in fields
+                f"{field.split('.')[1].replace('_', ' ')} {_short(values[number])}"
+                for field, values in differing.items()
+                if values[number] is not MISSING
             )
-            for fields in flat
+            for number in range(len(results))
         ]
         if len(set(told)) == len(told) and max(map(len, told)) <= 60:
             names = told
@@ -82,6 +94,40 @@ def labels(results: Sequence[Result]) -> list[str]:
         name if result.status == "finished" else f"{name} ({result.status})"
         for name, result in zip(names, results, strict=True)
     ]
+
+
+class Lines:
+    """How the curves of several results are told apart: by a line and a name each; or, where more than `FEW` differ in
+    one number alone, by a scale of colours for that number.
+
+    each: result, name for a legend, empty where there is a scale, and colour and style of its line.
+    """
+
+    def __init__(self, results: Sequence[Result]):
+        named = zip(results, labels(results), strict=True)
+        self.each = [(result, plain(name), line_of(number)) for number, (result, name) in enumerate(named)]
+        self.scale: Any = None  # a ScalarMappable
+        differing = _differing(results)
+        if len(results) <= FEW or len(differing) != 1:
+            return
+        (field, values), *_ = differing.items()
+        if not all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
+            return
+        from matplotlib import colormaps
+        from matplotlib.cm import ScalarMappable
+        from matplotlib.colors import LogNorm, Normalize
+
+        low, high = min(values), max(values)
+        norm = LogNorm(low, high) if low > 0 and high > 10 * low else Normalize(low, high)
+        self.scale = ScalarMappable(norm, colormaps["viridis"].resampled(256))
+        self.told = field.split(".")[1].replace("_", " ")
+        colours = [self.scale.to_rgba(value) for value in values]
+        self.each = [(result, "", {"color": c, "ls": "-"}) for result, c in zip(results, colours, strict=True)]
+
+    def bar(self, figure: "Figure") -> None:
+        """The scale beside the axes, where there is one."""
+        if self.scale is not None:
+            figure.colorbar(self.scale, ax=figure.axes, pad=0.02).set_label(self.told, fontsize=LETTERS)
 
 
 def thornton_ratio(case: "Case") -> float | None:

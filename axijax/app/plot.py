@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from axijax.app import figures, soil_figures
 from axijax.app.animation import save_animation
-from axijax.app.labels import LETTERS, Measured, case_of, labels, line_of, plain, readable, thornton_ratio
+from axijax.app.labels import LETTERS, Lines, Measured, case_of, plain, readable, thornton_ratio
 from axijax.app.results import Result, open_result
 from axijax.app.snapshot import snapshot
 from axijax.core.files import draw_afterwards, writable_folder, write_whole
@@ -81,23 +81,24 @@ def curve_figure(results: Sequence[Result], data: Measured | None = None) -> Fig
     specimen is an FCC array; measured data as points."""
     figure = Figure(figsize=(5.6, 6.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    lines: dict[str, tuple[float, str]] = {}
-    for number, (result, name) in enumerate(zip(results, labels(results), strict=True)):
+    lines, ideal = Lines(results), {}
+    for number, (result, name, style) in enumerate(lines.each):
         curve, case = result.curve, case_of(result)
         strain = 100 * curve.axial_strain.values
-        line = {**line_of(number), "lw": 1.6}
-        if len(results) > 1:  # marks, each line's at its own places, so that runs that coincide still show
+        line = {**style, "lw": 1.6}
+        # Marks, each line's at its own places, so that runs that coincide still show.
+        if len(results) > 1 and lines.scale is None:
             every = max(strain.size // 8, 1)
             shift = number * every // len(results)
             line |= {"marker": MARKERS[number % len(MARKERS)], "ms": 4.5, "markevery": (shift, every)}
-        upper.plot(strain, curve.stress_ratio.values, label=plain(name), **line)
+        upper.plot(strain, curve.stress_ratio.values, label=name, **line)
         lower.plot(strain, 100 * curve.volumetric_strain.values, **line)
         ratio = None if case is None else thornton_ratio(case)
         if case is not None and ratio is not None:
             friction = case.parameters.friction if case.scene.friction else 0.0
-            lines.setdefault(f"Thornton (1979), f = {friction:g}", (ratio, line["color"]))
+            ideal.setdefault(f"Thornton (1979), f = {friction:g}", (ratio, line["color"]))
     end = max(100 * float(result.curve.axial_strain.max()) for result in results)
-    for label, (ratio, colour) in lines.items():
+    for label, (ratio, colour) in ideal.items() if lines.scale is None or len(ideal) == 1 else ():
         upper.plot([0, end], [ratio, ratio], color=colour, lw=1, ls=(0, (6, 3)), label=label)
     if data is not None:
         points = {"color": "black", "ls": "none", "marker": "o", "mfc": "none", "ms": 5}
@@ -108,10 +109,12 @@ def curve_figure(results: Sequence[Result], data: Measured | None = None) -> Fig
     upper.set(ylabel="stress ratio s1/s3 [-]")
     handles, names = upper.get_legend_handles_labels()
     columns = 2 if len(names) > 2 and max(map(len, names)) < 34 else 1
-    figure.legend(handles, names, loc="outside lower center", ncols=columns, frameon=False, fontsize=LETTERS)
+    if names:
+        figure.legend(handles, names, loc="outside lower center", ncols=columns, frameon=False, fontsize=LETTERS)
     lower.set(xlabel="axial strain [%]", ylabel="volumetric strain [%]\n(compression positive)")
     for axes in (upper, lower):
         axes.grid(alpha=0.3)
+    lines.bar(figure)
     return readable(figure)
 
 

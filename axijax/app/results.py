@@ -199,7 +199,9 @@ def open_result(path: str | Path) -> Result:
 
 
 def open_results(path: str | Path) -> list[Result]:
-    """Read the folder of a run or a file of curves, which may hold several runs (table1's curves.nc does).
+    """Read the folder of a run or a batch, or a file of curves, which may hold several runs (table1's curves.nc does).
+
+    Of a batch the members that have finished, what distinguishes them as scalar coordinates of their curves.
 
     Raises ValueError as `open_result` does.
     """
@@ -208,6 +210,8 @@ def open_results(path: str | Path) -> list[Result]:
         return [Result(path, name, curve, "finished", {}) for name, curve in _read_curves(path)]
     if not path.is_dir():
         raise ValueError(f"result '{path}' does not exist: give the folder that `axijax run` made, or its curve.nc.")
+    if (path / "members").is_dir():
+        return _read_members(path)
     info = read_info(path)
     # A run that went wrong keeps its curve, faulty end and all, under another name.
     kept = [path / name for name in ("curve.nc", "partial_curve.nc") if (path / name).is_file()]
@@ -294,6 +298,19 @@ def _mistyped(info: Mapping[str, Any], needed: Sequence[str]) -> str:
 def _along_strain(curve: "xarray.Dataset") -> "xarray.Dataset":
     """One run with the axial strain for its dimension, by which xarray draws and selects."""
     return curve.set_coords(STRAIN).swap_dims(record=STRAIN)
+
+
+def _read_members(path: Path) -> list[Result]:
+    """The members of a batch."""
+    from axijax.app.batch_files import PEAK, open_batch
+
+    together = open_batch(path).drop_vars([*PEAK, "seconds"])
+    results = []
+    for name in together.member.values:
+        one = together.sel(member=name).drop_vars("member")
+        one = one.isel(record=np.isfinite(one[STRAIN].values))
+        results.append(Result(path, str(name), _along_strain(one), "finished", {}))
+    return results
 
 
 def _read_curves(path: Path) -> list[tuple[str, "xarray.Dataset"]]:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
 from axijax import theory
-from axijax.app.labels import LETTERS, Measured, case_of, labels, line_of, plain, readable
+from axijax.app.labels import LETTERS, Lines, Measured, case_of, labels, line_of, plain, readable
 from axijax.app.results import Result
 from axijax.core.smoothing import Smooth, advancing
 from axijax.triaxial.laboratory import laboratory
@@ -32,8 +32,9 @@ LOADING = {"parameters": {"confining_stress", "platen_speed"}, "specimen": {"see
 def q_strain(results: Sequence[Result], data: Measured | None = None) -> Figure:
     """Deviatoric stress against axial strain; a circle at the peak."""
     figure, axes = _figure()
-    for number, (result, name) in enumerate(_named(results)):
-        curve, line = result.curve, line_of(number)
+    lines = Lines(results)
+    for result, name, line in lines.each:
+        curve = result.curve
         found = laboratory(curve)
         _draw(axes, curve, curve.deviatoric_stress, name, line)
         if found.peak.reached:
@@ -42,28 +43,30 @@ def q_strain(results: Sequence[Result], data: Measured | None = None) -> Figure:
             axes.errorbar(100 * found.peak.axial_strain, q, error or None, fmt="o", color=line["color"], capsize=3)
     axes.plot([], [], "o", color="0.3", label="peak, with its error where it is smoothed")
     axes.set(xlabel=STRAIN, ylabel=f"deviatoric stress q = s1 - s3 {STRESS}")
-    return _finished(figure)
+    return _finished(figure, lines)
 
 
 def volume_strain(results: Sequence[Result], data: Measured | None = None) -> Figure:
     """Volumetric against axial strain."""
     figure, axes = _figure()
-    for number, (result, name) in enumerate(_named(results)):
-        axes.plot(100 * result.curve.axial_strain, 100 * result.curve.volumetric_strain, label=name, **line_of(number))
+    lines = Lines(results)
+    for result, name, line in lines.each:
+        axes.plot(100 * result.curve.axial_strain, 100 * result.curve.volumetric_strain, label=name, **line)
     if data is not None and data.volumetric_strain is not None:
         axes.plot(100 * data.axial_strain, 100 * data.volumetric_strain, label=_measured(data), **POINTS)
     axes.set(xlabel=STRAIN, ylabel=VOLUME)
-    return _finished(figure)
+    return _finished(figure, lines)
 
 
 def void_ratio_pressure(results: Sequence[Result], data: Measured | None = None) -> Figure:
     """Void ratio against the logarithm of mean stress; a dot where a test begins."""
     figure, axes = _figure()
-    shown = [(number, *pair) for number, pair in enumerate(_named(results)) if is_random(pair[0].curve)]
+    lines = Lines(results)
+    shown = [each for each in lines.each if is_random(each[0].curve)]
     if not shown:
         raise ValueError("e-log-p: a regular array's voids are not counted, so there is no void ratio to draw.")
-    for number, result, name in shown:
-        p, line = result.curve.mean_stress, line_of(number)
+    for result, name, line in shown:
+        p = result.curve.mean_stress
         axes.plot(p, result.curve.void_ratio, label=name, **line)
         axes.plot(p[0], result.curve.void_ratio[0], "o", color=line["color"])
     axes.plot([], [], "o", color="0.3", label="start")
@@ -72,32 +75,35 @@ def void_ratio_pressure(results: Sequence[Result], data: Measured | None = None)
     axes.xaxis.set_major_formatter(LogFormatterSciNotation(minor_thresholds=(np.inf, np.inf)))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set(xlabel=f"mean stress p = (s1 + 2 s3)/3 {STRESS}", ylabel="void ratio e [-]")
-    return _finished(figure)
+    return _finished(figure, lines)
 
 
 def q_pressure(results: Sequence[Result], data: Measured | None = None) -> Figure:
     """Deviatoric against mean stress, with the line q = M p through the peak."""
     figure, axes = _figure()
-    for number, (result, name) in enumerate(_named(results)):
-        curve, line = result.curve, line_of(number)
+    lines = Lines(results)
+    for result, name, line in lines.each:
+        curve = result.curve
         peak = laboratory(curve).peak
         slope = 3 * (peak.stress_ratio - 1) / (peak.stress_ratio + 2)
         which = "peak" if peak.reached else "largest so far"
-        axes.plot(curve.mean_stress, curve.deviatoric_stress, label=f"{name}; M = {slope:.2f} ({which})", **line)
+        told = name and f"{name}; M = {slope:.2f} ({which})"
+        axes.plot(curve.mean_stress, curve.deviatoric_stress, label=told, **line)
         far = 1.05 * float(curve.mean_stress.max())
         axes.plot([0, far], [0, slope * far], color=line["color"], lw=0.9, ls=(0, (6, 3)))
     axes.plot([], [], color="0.3", lw=0.9, ls=(0, (6, 3)), label="q = M p")
     axes.set(xlabel=f"mean stress p = (s1 + 2 s3)/3 {STRESS}", ylabel=f"deviatoric stress q = s1 - s3 {STRESS}")
     axes.set(xlim=(0, None), ylim=(min(0.0, axes.get_ylim()[0]), None))
-    return _finished(figure)
+    return _finished(figure, lines)
 
 
 def friction_dilatancy(results: Sequence[Result], data: Measured | None = None) -> Figure:
     """Mobilised friction angle, and dilatancy rate, against axial strain."""
     figure = Figure(figsize=(5.6, 6.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
-    for number, (result, name) in enumerate(_named(results)):
-        curve, line = result.curve, line_of(number)
+    lines = Lines(results)
+    for result, name, line in lines.each:
+        curve = result.curve
         _draw(upper, curve, curve.friction_angle, name, line)
         lower.plot(100 * curve.axial_strain, curve.dilatancy_rate, **line)
     if data is not None:
@@ -108,7 +114,7 @@ def friction_dilatancy(results: Sequence[Result], data: Measured | None = None) 
     upper.set(ylabel=ANGLE)
     lower.set(xlabel=STRAIN, ylabel=RATE)
     lower.axhline(0, color="0.4", lw=0.8)
-    return _finished(figure)
+    return _finished(figure, lines)
 
 
 def stress_dilatancy(results: Sequence[Result], data: Measured | None = None) -> Figure:
@@ -194,13 +200,16 @@ def _figure():
     return figure, figure.add_subplot()
 
 
-def _finished(figure: Figure) -> Figure:
-    """With a grid, and the legend below the axes."""
+def _finished(figure: Figure, lines: Lines | None = None) -> Figure:
+    """With a grid, the legend below the axes, and a scale of colours beside them where that tells the lines apart."""
     for axes in figure.axes:
         axes.grid(alpha=0.3)
     handles, names = figure.axes[0].get_legend_handles_labels()
-    columns = 2 if len(names) > 4 and max(map(len, names)) < 34 else 1
-    figure.legend(handles, names, loc="outside lower center", ncols=columns, frameon=False, fontsize=LETTERS)
+    if names:
+        columns = 2 if len(names) > 4 and max(map(len, names)) < 34 else 1
+        figure.legend(handles, names, loc="outside lower center", ncols=columns, frameon=False, fontsize=LETTERS)
+    if lines is not None:
+        lines.bar(figure)
     return readable(figure)
 
 

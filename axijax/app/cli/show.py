@@ -10,7 +10,7 @@ from axijax.app.cli.say import say
 
 AGAIN = "run it again"
 _RESULTS = typer.Argument(
-    metavar="RESULT...", help="Folders that `axijax run` made, or files of curves (curve.nc).", show_default=False
+    metavar="RESULT...", help="Folders that `axijax run` or `batch` made, or files of curves.", show_default=False
 )
 _DATA = typer.Option(help="Measured curve to overlay, CSV with columns such as 'axial_strain [%]' and 'stress_ratio'.")
 
