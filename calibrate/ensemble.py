@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import qmc
 
-from axijax.core.parallel import cores
+from axijax.core.parallel import cores, end_with_parent
 from axijax.core.platform import fast_cpu_kernels, use_compilation_cache
 from calibrate.library import FIELDS, Library, StoredRun
 from calibrate.scene import RandomScene
@@ -113,6 +113,7 @@ def _cache() -> Path | None:
 def _begin(cache: Path | None) -> None:
     import jax
 
+    end_with_parent()
     fast_cpu_kernels()
     if cache is not None:
         jax.config.update("jax_compilation_cache_dir", str(cache))

@@ -1,13 +1,15 @@
 """Real `kill -9` at random moments of every command that writes, and what it leaves. By hand:
 
-    python tests/kill_runs.py [KILLS] [SEED] [FOLDER]
+    python tests/kill_runs.py [KILLS] [SEED] [FOLDER] [COMMANDS]
 
 Each trial starts a command as a process of its own, kills it after a random part of the time that it takes by itself
-(with a warm compilation cache), and then asks: is every visible file whole; are files of others as they were; does a
-command afterwards leave no hidden file; and does it, going on, end with the same bits as one that was never killed.
-Prints a table of counts, exits with 1 where anything was not so.
+(with a warm compilation cache), and then asks: is every visible file whole; are files of others as they were; have the
+processes that it began ended too; does a command afterwards leave no hidden file; and does it, going on, end with the
+same bits as one that was never killed. COMMANDS: only these, such as "run,resume"; most start from what "run" leaves,
+"library" from what "study" does. Prints a table of counts, exits with 1 where anything was not so.
 """
 
+import contextlib
 import itertools
 import json
 import os
@@ -42,7 +44,46 @@ tolerance = 1e-4
 record_every = 50
 """
 SWEEP = TINY + "[sweep]\nparameters.friction = [0.1, 0.15, 0.2, 0.25]\n"
+STAGED = TINY.replace("axial_strain = 0.012\n", "") + """
+[[stage]]
+type = "compression"
+axial_strain = 0.004
+[[stage]]
+type = "extension"
+axial_strain = 0.002
+[[stage]]
+type = "compression"
+lateral = "constant_volume"
+axial_strain = 0.006
+"""
+SAND = """
+[specimen]
+kind = "random"
+balls = 60
+[sector]
+order = 2
+[parameters]
+friction = 0.4
+platen_speed = 0.2
+[test]
+tolerance = 2e-3
+confine_steps = 100000
+axial_strain = 0.012
+record_every = 20
+"""
+STUDY = """
+case = "sand.toml"
+fit = ["friction"]
+runs = 12
+[bounds]
+friction = [0.15, 0.8]
+[[test]]
+data = "sand.csv"
+packings = "laboratory"
+first_strain = 0.002
+"""
 FURTHER = "0.014"
+MARK = "AXIJAX_KILL_RUN"  # in the environment of a command and of the processes that it begins
 MINE = {"notes.txt": "mine", "snapshots/photo.txt": "mine", ".hidden-notes": "mine"}
 
 
@@ -53,6 +94,12 @@ class Bench:
         self.root = root
         (root / "tiny.toml").write_text(TINY)
         (root / "sweep.toml").write_text(SWEEP)
+        (root / "staged.toml").write_text(STAGED)
+        (root / "sand.toml").write_text(SAND)
+        (root / "study.toml").write_text(STUDY)
+        strain = np.linspace(0, 0.0115, 60)
+        rows = (f"{e},{1 + 1.4 * np.tanh(e / 0.002)},{0.2 * e - 0.3 * e**1.2}\n" for e in strain)
+        (root / "sand.csv").write_text("axial_strain,stress_ratio,volumetric_strain\n" + "".join(rows))
         self.seconds: dict[str, float] = {}
         for name, steps in COMMANDS.items():
             folder = root / "sound" / name
@@ -65,8 +112,9 @@ class Bench:
 
     def prepare(self, name: str, folder: Path) -> None:
         """What the command starts from: a finished result where it needs one, and somebody's own files."""
-        if name in ("resume", "snapshot", "report", "overwrite"):
-            shutil.copytree(self.root / "sound" / "run", folder)
+        start = {"library": "study"} | dict.fromkeys(("resume", "snapshot", "report", "overwrite"), "run")
+        if name in start:
+            shutil.copytree(self.root / "sound" / start[name], folder)
         for file, text in MINE.items():
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
             (folder / file).write_text(text)
@@ -85,6 +133,7 @@ class Bench:
                 os.dup2(out, stream)
             os.chdir(self.root)
             os.environ["AXIJAX_CACHE"] = str(self.root / "cache")
+            os.environ[MARK] = str(os.getpid())
             code = axijax.app.cli.main.main([str(argument) for argument in arguments])
         finally:
             sys.stdout.flush()
@@ -100,9 +149,24 @@ class Bench:
     def killed(self, arguments, after: float) -> bool:
         """Whether the command was still at work."""
         number, _ = self.start(arguments)
+        self.last = number
         time.sleep(after)
         os.kill(number, signal.SIGKILL)
         return os.waitstatus_to_exitcode(os.waitpid(number, 0)[1]) == -signal.SIGKILL
+
+    def left_behind(self, number: int, seconds: float = 20.0) -> list[str]:
+        """Processes that a killed command began and that do not end of themselves."""
+        mark = f"{MARK}={number}\0".encode()
+        until = time.monotonic() + seconds
+        while True:
+            found = []
+            for path in Path("/proc").glob("[0-9]*/environ"):
+                with contextlib.suppress(OSError):
+                    if mark in path.read_bytes() and (path.parent / "cmdline").read_bytes():
+                        found.append(path.parent.name)
+            if not found or time.monotonic() > until:
+                return found
+            time.sleep(0.5)
 
 
 def run(bench, folder):
@@ -142,12 +206,36 @@ def report(bench, folder):
     return start, start
 
 
+def staged(bench, folder):
+    start = ("run", "staged.toml", "--output", folder, "--snapshots", "3")
+    return start, ("resume", folder), start, (*start, "--overwrite")
+
+
+def pool(bench, folder):
+    """A batch by processes of its own, which a kill of the one that asks leaves alone."""
+    start = ("batch", "sweep.toml", "--output", folder, "--executor", "processes:2")
+    return start, start
+
+
+def study(bench, folder):
+    start = ("calibrate", "study.toml", "--output", folder, "--library", folder / "library", "--workers", "1")
+    return start, start
+
+
+def library(bench, folder):
+    start = ("library", "clean", "--library", folder / "library")
+    return start, start
+
+
 def table1(bench, folder):
     start = ("table1", "--output", folder)
     return start, start
 
 
-COMMANDS = {each.__name__: each for each in (run, overwrite, resume, batch, fit, snapshot, report, table1)}
+COMMANDS = {
+    each.__name__: each
+    for each in (run, overwrite, resume, batch, fit, snapshot, report, staged, pool, study, library, table1)
+}
 
 
 def broken(path: Path) -> str | None:
@@ -194,12 +282,14 @@ def numbers(folder: Path) -> dict[str, bytes]:
                     found[f"{name} {key}"] = data[key].values.tobytes()
         elif path.suffix == ".npz":
             with np.load(path) as archive:
-                found |= {f"{name} {key}": archive[key].tobytes() for key in archive.files if key != "header"}
+                kept = [key for key in archive.files if key not in ("header", "about")]  # texts with times
+                found |= {f"{name} {key}": archive[key].tobytes() for key in kept}
         elif path.suffix in (".vtu", ".pvd", ".npy") or path.name == "curve.csv":
             found[name] = path.read_bytes()
         elif path.name == "fit.json":
             fit = json.loads(path.read_text())
-            found[name] = json.dumps({key: fit[key] for key in ("estimate", "prediction", "standard_error")}).encode()
+            kept = ("estimate", "prediction", "standard_error", "interval_95", "status")
+            found[name] = json.dumps({key: fit[key] for key in kept if key in fit}).encode()
         elif path.name == "run.json":
             found[name] = json.loads(path.read_text())["status"].encode()
     return found
@@ -228,6 +318,7 @@ def trial(bench: Bench, name: str, number: int, rng: random.Random, problems: li
     visible = [path for path in folder.rglob("*") if path.is_file() and not path.name.startswith(".axijax-")]
     problems += [found for found in map(broken, visible) if found]
     problems += [found for found in [consistent(folder)] if found]
+    problems += [f"{folder}: process {process} left behind" for process in bench.left_behind(bench.last)]
     left = [path for path in folder.rglob(".axijax-*")]
     how = ""
     for way in ways:
@@ -254,7 +345,9 @@ def trial(bench: Bench, name: str, number: int, rng: random.Random, problems: li
     return how + (", same bits" if not different else ", OTHER BITS")
 
 
-def main(kills: int = 64, seed: int = 0, root: str = "") -> int:
+def main(kills: int = 64, seed: int = 0, root: str = "", only: str = "") -> int:
+    for name in set(COMMANDS) - set(filter(None, only.split(","))) if only else ():
+        del COMMANDS[name]
     folder = Path(root or tempfile.mkdtemp(prefix="axijax-kills-")).absolute()
     for part in ("sound", "killed"):  # the cache stays
         shutil.rmtree(folder / part, ignore_errors=True)
@@ -262,7 +355,9 @@ def main(kills: int = 64, seed: int = 0, root: str = "") -> int:
     bench, rng, problems = Bench(folder), random.Random(seed), []
     counts: dict[str, Counter] = {name: Counter() for name in COMMANDS}
     # table1 takes long: it gets three kills, the others share the rest; a command that had ended is killed once more.
-    wanted = {name: 3 if name == "table1" else -(-(kills - 3) // (len(COMMANDS) - 1)) for name in COMMANDS}
+    others = len(COMMANDS) - ("table1" in COMMANDS)
+    share = -(-(kills - 3 * ("table1" in COMMANDS)) // max(others, 1))
+    wanted = {name: 3 if name == "table1" else share for name in COMMANDS}
     for number in itertools.count():
         due = [name for name in COMMANDS if sum(counts[name].values()) - counts[name]["had ended"] < wanted[name]]
         if not due:
@@ -282,4 +377,4 @@ def main(kills: int = 64, seed: int = 0, root: str = "") -> int:
 
 if __name__ == "__main__":
     given = sys.argv[1:]
-    sys.exit(main(*(convert(value) for convert, value in zip((int, int, str), given, strict=False))))
+    sys.exit(main(*(convert(value) for convert, value in zip((int, int, str, str), given, strict=False))))

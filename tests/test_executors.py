@@ -2,9 +2,13 @@
 
 import os
 import signal
+import subprocess
+import sys
+import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,6 +49,29 @@ def test_a_pool_of_processes(here, tmp_path):
     again = run_batch(parameter_grid(TEST, friction=FRICTIONS), tmp_path)
     assert [outcome.resumed for outcome in again.outcomes] == [True, False, False]
     same(open_batch(tmp_path), here)
+
+
+def test_workers_end_with_the_process_that_is_killed(tmp_path):
+    """They would wait for ever for further work, each with its memory."""
+    script = tmp_path / "asks.py"
+    script.write_text(
+        "import os, time\nfrom axijax.app.executors import open_executor\n"
+        "if __name__ == '__main__':\n    with open_executor('processes:1') as pool:\n"
+        "        print(pool.submit(os.getpid).result(), flush=True)\n        time.sleep(600)\n"
+    )
+    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True) as asking:
+        worker = int(asking.stdout.readline())
+        os.kill(worker, 0)
+        asking.kill()
+    for _ in range(600):
+        try:
+            if Path(f"/proc/{worker}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
+                return  # ended; whoever takes on orphans has not looked yet
+            time.sleep(0.1)
+        except OSError:
+            return
+    os.kill(worker, signal.SIGKILL)
+    pytest.fail("a worker was left behind")
 
 
 def test_dask_does_the_work_of_a_killed_worker_again(here, tmp_path):

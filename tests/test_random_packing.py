@@ -16,7 +16,7 @@ from axijax.mechanics.contacts import geometry
 from axijax.mechanics.dynamics import all_forces, initial_state, positions
 from axijax.mechanics.membrane import build_membrane, lateral_force, membrane_load
 from axijax.specimen.grading import linear, sieve_curve, two_sizes, uniform
-from axijax.specimen.specimen import cut_to_sector
+from axijax.specimen.specimen import cut_to_sector, fcc_octagon
 from axijax.triaxial import random_specimen as random_packing
 from axijax.triaxial.engine import until_balls_moved
 from axijax.triaxial.random_specimen import platen_speed, random_cylinder
@@ -168,6 +168,21 @@ def test_sheared_dense_specimen_is_stronger_than_it_ends():
 
 
 # Wide gradings and soft balls
+
+
+def test_soft_packings_are_taken_by_their_test_and_stiff_ones_as_deep_refused():
+    """kn/(s3 r) of 170 to 500 was packed, and then refused by its own test for an overlap of six hundredths, though a
+    contact bears 4.2 s3 r^2 in the mean, which is 2.5 hundredths there, and the strongest a few times that."""
+    lattice = fcc_octagon(layers=5, half_width=5)
+    deep = 1 - 0.12 / 2  # neighbours overlap by 0.12 radii
+    pressed = replace(
+        lattice, positions=deep * lattice.positions, bottom=deep * lattice.bottom, top=deep * lattice.top,
+        zone_rule="exposure",
+    )  # fmt: skip
+    soft = Params(normal_stiffness=5e4 * 20 / 0.006, shear_stiffness=5e4 * 20 / 0.006)
+    assert TriaxialTest(pressed, Sector(4), params=soft).prepared.time_step > 0
+    with pytest.raises(ValueError, match=r"overlap by 0\.12 radii: at most 0\.05 .* stiffness and the confining"):
+        TriaxialTest(pressed, Sector(4)).prepared  # noqa: B018
 
 
 @pytest.mark.parametrize(("ratio", "stiffness"), [(6.0, 1.5e9), (1.5, 5e7)], ids=["size ratio 6", "s3 r/kn = 0.02"])

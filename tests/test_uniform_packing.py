@@ -1,5 +1,6 @@
 """Random specimens that are uniform and isotropic, and of the density asked for: closed forms and exact statistics."""
 
+from dataclasses import fields, replace
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ from axijax.core.vector import from_rows
 from axijax.specimen.grading import linear
 from axijax.specimen.specimen import Specimen
 from axijax.triaxial.density import DENSEST, LOOSEST, Bounds, bounds, library, sought
+from axijax.triaxial.packing_report import PackingReport
 from axijax.triaxial.random_specimen import _grown, random_cylinder
 from axijax.triaxial.uniformity import core_stress, trends
 
@@ -82,6 +84,20 @@ def test_trends_see_what_was_put_in_and_nothing_else():
             assert found.void_ratio[0] < -0.1, "larger balls as close together leave less room"
     tiny = Specimen(place[:, :5], even[:5], 0.0, height, rho[:5] > 0, "balls", "exposure")
     assert np.isnan(trends(tiny, Sector(1), 30.0).void_ratio).all()
+
+
+def test_what_a_small_packing_cannot_tell_is_said():
+    """Of 120 balls the report printed "+nan"; of a narrow sector of few "inf" and "nan" for an empty core."""
+    known = {name.name: 1.0 for name in fields(PackingReport)} | {"radii": np.ones(20), "sieves": np.ones((5, 3))}
+    known |= {"grading": "balls", "fractions": [], "warnings": [], "bounds": None, "core_contacts": 40, "seed": 1}
+    known |= dict.fromkeys(("void_ratio_trend", "size_trend", "size_trend_error"), (0.01, 0.02))
+    whole = PackingReport(**known)
+    assert "+0.010 outer less inner half" in str(whole) and "1.000 +- 1.000" in whole._card().rows.values()
+    small = replace(whole, void_ratio_trend=(np.nan, np.nan), size_trend=(np.nan,) * 2, size_trend_error=(np.nan,) * 2)
+    empty = replace(small, core_void_ratio=np.inf, core_contacts=0, core_stress_ratio=np.nan, core_stress_error=np.nan)
+    for report, told in ((small, "too few balls lie deep enough"), (empty, "no contact of the inner core")):
+        text = str(report) + " ".join(report._card().rows.values())
+        assert told in text and "nan" not in text and "inf" not in text
 
 
 def packer(made, least=0.5, most=0.8):

@@ -55,11 +55,11 @@ def open_executor(asked: str) -> Iterator[Executor]:
         import multiprocessing
         from concurrent.futures import ProcessPoolExecutor
 
-        from axijax.core.parallel import cores
+        from axijax.core.parallel import cores, end_with_parent
 
         # JAX's threads do not survive a fork.
         spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(int(rest or cores()), mp_context=spawn) as pool:
+        with ProcessPoolExecutor(int(rest or cores()), mp_context=spawn, initializer=end_with_parent) as pool:
             yield pool
     elif kind == "dask" and rest.startswith("//") and rest.count(":") == 1:
         try:

@@ -1,5 +1,6 @@
-"""Work side by side in threads of this process."""
+"""Work side by side: in threads of this process, and what processes of its own need."""
 
+import multiprocessing
 import os
 import threading
 from collections.abc import Callable, Iterable, Sequence
@@ -59,6 +60,22 @@ def parallel(
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return results
+
+
+def end_with_parent() -> None:
+    """In a process of a pool, as its initializer: end when the process that made the pool has been killed.
+
+    Left to themselves the processes of `concurrent.futures` wait for further work for ever, each with its memory.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def cores() -> int:

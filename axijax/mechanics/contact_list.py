@@ -168,7 +168,8 @@ def build_contact_list(
         worst = depth.argmax()
         raise ValueError(
             f"specimen: ball {i[worst]} and image {k[worst]} of ball {j[worst]} overlap by {depth[worst]:.3g} "
-            f"radii: at most {largest_overlap:g} is allowed; move or remove one of them."
+            f"radii: at most {largest_overlap:g} is allowed; move or remove one of them, or give the test the "
+            "stiffness and the confining stress under which the packing was made."
         )
 
     per_ball = np.bincount(ball, minlength=count)

@@ -18,8 +18,12 @@ from axijax.mechanics.state import State
 from axijax.mechanics.tight_list import room_for
 from axijax.specimen.specimen import Specimen
 
+LARGEST_OVERLAP = 0.5  # in radii of the smaller ball; deeper ones are no contacts any more
 
-def rebuild_on_host(cut: Specimen, lists: tuple[ContactList, Membrane], state: State, largest_overlap: float = 0.5):
+
+def rebuild_on_host(
+    cut: Specimen, lists: tuple[ContactList, Membrane], state: State, largest_overlap: float = LARGEST_OVERLAP
+):
     """Contact list and membrane built again from the current positions, and the state that goes with them (host).
 
     Every ball keeps its number and its image. The arrays keep their shapes where they are large enough, or else are

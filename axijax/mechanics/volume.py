@@ -13,6 +13,11 @@ specimen is that of its solids times 1 + e, the solids being known and the void 
 
 The count is exact for the balls, up to the curvature of the surface over one of them. It knows no membrane zone and no
 history, so that a ball that joins or leaves the zone changes nothing, and lists made anew do not either.
+
+How deep it begins is a choice, and counts that begin elsewhere find other balls cut: of packings of 150, 300 and 600
+independent balls (eight each, radii 16 to 24) the difference between a count from one to two radii deep and one from
+two to three scatters by 1.6, 0.9 and 0.6 % of the volume, about as the number of balls to the power -2/3. So the
+volumetric strain of a few hundred balls in a sector is known to some 1 %, and, by that law, to 0.3 % of some thousands.
 """
 
 import jax

@@ -26,7 +26,8 @@ class PackingReport:
         void ratio asked for means; in a specimen too small to have an inside the one in pi Rm^2 H [-].
     bounds: void ratios of the grading's densest and loosest packing, counted likewise; None where they were not needed.
     core_stress_ratio, core_contacts, core_stress_error: of that core, see `uniformity.CoreStress`.
-    void_ratio_trend, size_trend, size_trend_error: (2,) along radius and height, see `uniformity.Trends` [-].
+    void_ratio_trend, size_trend, size_trend_error: (2,) along radius and height, see `uniformity.Trends`; NaN where too
+        few balls lie deep enough [-].
     coordination_number, mechanical_coordination_number, rattler_fraction, anisotropy: see `fabric.Contacts` [-].
     compaction_friction: with which it was compacted [-].
     unbalanced_force, stress_error: how well it is balanced, as at the end of a confinement [-].
@@ -82,10 +83,22 @@ class PackingReport:
             "Rm, height [L]": f"{self.membrane_radius:.4g}, {self.height:.4g}",
             "coordination number [-]": f"{self.coordination_number:.3f}",
             "rattlers [%]": f"{100 * self.rattler_fraction:.1f}",
-            "stress ratio of the core [-]": f"{self.core_stress_ratio:.3f} +- {self.core_stress_error:.3f}",
+            "stress ratio of the core [-]": self._core_stress("{:.3f} +- {:.3f}"),
             "warnings": "; ".join(self.warnings) or "none",
         }
         return Card("PackingReport", rows, brief=("balls", "seed", "void ratio [-]", "compaction friction [-]"))
+
+    def _core_stress(self, text: str) -> str:
+        if not self.core_contacts:
+            return "not known: no contact of the inner core bears anything"
+        return text.format(self.core_stress_ratio, self.core_stress_error)
+
+    def _uniformity(self) -> str:
+        if np.isnan([*self.void_ratio_trend, *self.size_trend, *self.size_trend_error]).any():
+            return "not known: too few balls lie deep enough below membrane and platens to compare halves of them"
+        (radial, axial), sizes = self.void_ratio_trend, zip(self.size_trend, self.size_trend_error, strict=True)
+        size = ", ".join(f"{100 * trend:+.1f} +- {100 * error:.1f} %" for trend, error in sizes)
+        return f"void ratio {radial:+.3f} outer less inner half, {axial:+.3f} middle less ends; size {size}"
 
     def _density(self) -> list[str]:
         if self.bounds is None:
@@ -96,6 +109,7 @@ class PackingReport:
         ]
 
     def __str__(self) -> str:
+        core = f"{self.core_void_ratio:.4f}" if np.isfinite(self.core_void_ratio) else "none"
         sieves = "  ".join(f"{radius:.4g}: {wanted:.0f}/{got:.1f}" for radius, wanted, got in self.sieves)
         return "\n".join(
             [
@@ -104,15 +118,13 @@ class PackingReport:
                 f"  grading          {self.grading}; radius: % passing by mass, wanted/reached  {sieves}",
                 f"  size             Rm {self.membrane_radius:.4g}, H {self.height:.4g}, H/D "
                 f"{self.height / 2 / self.membrane_radius:.3f}",
-                f"  void ratio       {self.void_ratio:.4f} in pi Rm^2 H, {self.core_void_ratio:.4f} in the inner core, "
+                f"  void ratio       {self.void_ratio:.4f} in pi Rm^2 H, {core} in the inner core, "
                 f"{self.counted_void_ratio:.4f} below the skin",
                 *self._density(),
-                f"  core             stress ratio {self.core_stress_ratio:.3f}, vertical over horizontal; 1 +- "
-                f"{self.core_stress_error:.3f} expected of {self.core_contacts} contacts",
-                f"  uniformity       void ratio {self.void_ratio_trend[0]:+.3f} outer less inner half, "
-                f"{self.void_ratio_trend[1]:+.3f} middle less ends; size {100 * self.size_trend[0]:+.1f} +- "
-                f"{100 * self.size_trend_error[0]:.1f} %, {100 * self.size_trend[1]:+.1f} +- "
-                f"{100 * self.size_trend_error[1]:.1f} %",
+                "  core             "
+                + self._core_stress("stress ratio {:.3f}, vertical over horizontal; 1 +- {:.3f} expected")
+                + f" of {self.core_contacts} contacts" * bool(self.core_contacts),
+                f"  uniformity       {self._uniformity()}",
                 f"  coordination     {self.coordination_number:.3f}, mechanical "
                 f"{self.mechanical_coordination_number:.3f}, rattlers {100 * self.rattler_fraction:.1f} %",
                 f"  fabric           vertical minus horizontal {self.anisotropy:+.4f}",
