@@ -20,10 +20,12 @@ from axijax.mechanics.rolling import RotationResistance
 from axijax.mechanics.time_step import DEFAULT_STEP, check_step, critical_time_step
 from axijax.triaxial.feasible import pressed_in
 from axijax.triaxial.paths import Compression, Expected, Isotropic, Path, wave_speed
+from axijax.triaxial.stage import SHORTENED
 
 if TYPE_CHECKING:
     from axijax.triaxial.test import TriaxialTest
 
+MORE_RECORDS = 2 + SHORTENED  # of a stage: one at its start, one past its end, and those that come early
 MOST_STEPS = 2**31 - 1  # steps are counted in 32 bits; so many take days
 
 
@@ -165,7 +167,7 @@ def prepare(test: "TriaxialTest") -> Prepared:
             record_every=test.record_every,
             refresh=test.refresh,
             rebuild_every=test.rebuild_every,
-            stage_records=tuple(int(np.ceil(each / step / test.record_every)) + 2 for each in durations),
+            stage_records=tuple(int(np.ceil(each / step / test.record_every)) + MORE_RECORDS for each in durations),
         ),
         stages=test.stages,
         ramp_time=ramp,
