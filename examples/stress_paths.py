@@ -252,10 +252,10 @@ def numbers_of(runs: dict[str, dict]) -> dict[str, float]:
             "undrained, s3' last/s3": stress[-1],
             "undrained, liquefied": float("liquefied" in runs["undrained"]["ended"]),
             "undrained, strain at least s3' [%]": 100 * curve["axial_strain"][stress.argmin()],
-            "undrained, phi of the last tenth": friction_angle(
-                curve["stress_ratio"][curve["axial_strain"] > 0.9 * curve["axial_strain"][-1]].mean()
-            ),
         }
+        if not runs["undrained"]["ended"]:
+            last = curve["stress_ratio"][curve["axial_strain"] > 0.9 * curve["axial_strain"][-1]]
+            found["undrained, phi of the last tenth"] = friction_angle(last.mean())
     if "k0" in sound:
         found["K0"] = 1 / sound["k0"]["stress_ratio"][-1]
         for late in ("", ", late"):
@@ -333,9 +333,9 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=Path("stress_paths"))
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--limit", type=float, default=1e9, help="seconds after which it ends, with what there is")
-    parser.add_argument("--balls", type=int, default=1000, help="in the full cylinder; half are simulated")
+    parser.add_argument("--balls", type=int, default=1200, help="in the full cylinder; half are simulated")
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--strain", type=float, default=0.08, help="axial strain of compression and extension")
+    parser.add_argument("--strain", type=float, default=0.12, help="axial strain of compression and extension")
     parser.add_argument("--cycles", type=int, default=100)
     parser.add_argument("--inertial-number", type=float, default=5e-4, help="gives the platen speed")
     parser.add_argument("--quick", action="store_true", help="two seeds of 120 balls, ten cycles, ten times as fast")
