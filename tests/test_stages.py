@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from finite_lattice import elastic, whole
 
 import axijax
 from axijax import Params, Sector, TriaxialTest, fcc_octagon, raise_for_status, stage
@@ -126,6 +127,15 @@ def test_a_stage_ends_where_the_strength_does(monkeypatch):
     assert set(np.asarray(run.curve.stage)) == {1.0} and run.curve.stress_ratio.max() > 1.8
 
 
+def test_a_stage_that_never_comes_to_its_end_is_given_up(monkeypatch):
+    """A servo that does not settle: here none is ever near enough."""
+    monkeypatch.setattr(progress, "SEGMENT", SEGMENT)
+    monkeypatch.setattr(progress, "LONGEST", 0.5)
+    run = test(PROGRAMME[0]).run()
+    assert "stage 1 of 1" in run.ended and "does not settle; lower time_step" in run.ended
+    assert run.curve.axial_strain.size > 3
+
+
 @pytest.mark.parametrize("number", range(len(PROGRAMME)))
 def test_a_restart_in_the_middle_of_a_stage_changes_no_bit(number, tmp_path, monkeypatch):
     """Written, read, and gone on with; whatever kind of stage it is."""
@@ -163,6 +173,46 @@ def test_a_confined_specimen_is_sheared_in_many_ways(tmp_path, monkeypatch):
 
 def split_ratio(curve, number):
     return np.asarray(curve.stress_ratio)[np.asarray(curve.stage) == number]
+
+
+# ---- Elastic paths ----
+
+
+@pytest.fixture(scope="module")
+def elastic_lattice():
+    """A test in which nothing slips, sheared slowly, its confined specimen, and what statics make of that."""
+    plain = test(params=replace(STICKY, friction=50.0, platen_speed=1e-4))
+    confined = plain.confined()
+    load = current_load(confined.membrane, confined.network, confined.state)
+    zone = np.isin(np.arange(len(plain.cut)), np.asarray(confined.membrane.zone))
+    made = whole(confined.network, confined.state, np.asarray(load.lateral), zone)
+    stiffness = float(STICKY.material.normal_stiffness), float(STICKY.material.shear_stiffness)
+    specimen, cells, bonds, held = made
+    return plain, confined, elastic(specimen, cells, *stiffness, bonds, held, STICKY.confining_stress)[0]
+
+
+@pytest.mark.parametrize(
+    "path, lateral",
+    [
+        (stage("compression", lateral="constant_volume", axial_strain=1e-4), -0.5),
+        (stage("compression", lateral="constant_p", axial_strain=1e-4), None),
+        (stage("isotropic", lateral_stress=5.5e4), None),
+    ],
+)
+def test_an_elastic_path_is_that_of_the_finite_lattice(elastic_lattice, path, lateral):
+    """Both stresses follow from both strains by the statics of the same bonds, to 0.5 % of the larger stress; moduli of
+    this small lattice are a third to two thirds below the closed forms of the infinite one, see tests/validation."""
+    plain, confined, statics = elastic_lattice
+    run = replace(plain, stages=(path,)).run(start=confined)
+    assert not run.ended
+    curve = run.curve
+    radius = np.asarray(curve.membrane_radius)
+    strains = np.array([-np.log1p(-curve.axial_strain[-1]), -np.log(radius[-1] / radius[0])])
+    ratio, s3 = (np.asarray(values)[[0, -1]] for values in (curve.stress_ratio, curve.lateral_stress))
+    stresses = np.diff([ratio * s3, s3], axis=1)[:, 0]
+    np.testing.assert_allclose(statics.matrix @ strains, stresses, atol=5e-3 * np.abs(stresses).max())
+    if lateral is not None:
+        assert strains[1] == pytest.approx(lateral * strains[0], rel=0.02)
 
 
 # ---- What makes no sense ----
