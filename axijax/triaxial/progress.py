@@ -210,8 +210,8 @@ def why_over(test: "TriaxialTest", now: Progress) -> str:
     path = test.stages[now.stage - 1]
     last = jax.tree.map(lambda values: values[-1], now.records)
     told = path.ended(path.watch(last, now.state)) or (
-        f"it has not come to where it leads in {LONGEST} times the steps that it should take at most: its servo does not "
-        "settle; lower time_step, or give the stage a time"
+        f"it has not come to where it leads in {LONGEST} times the steps that it should take at most: its servo does "
+        "not settle; lower time_step, or give the stage a time"
     )
     return f"stage {now.stage} of {len(test.stages)} ended at {100 * now.strain:.3g} % axial strain: {told}"
 
