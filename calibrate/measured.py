@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax.core.shown import Card, line_picture, per_cent, shown
-from axijax.core.smoothing import advancing
 from calibrate.branches import TURN, Places, reversals
 from calibrate.columns import read_columns
 from calibrate.doubts import ConfiningStress, doubts, of_facts, without_padding
@@ -176,6 +175,8 @@ class MeasuredCurve:
     @property
     def advancing(self) -> "MeasuredCurve":
         """Without its points that do not lie beyond all before them: the curve of the first loading."""
+        from axijax.core.smoothing import advancing  # takes long to import
+
         if not self.unloading:
             return self
         kept = advancing(self.axial_strain)

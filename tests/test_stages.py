@@ -130,7 +130,7 @@ def test_a_stage_ends_where_the_strength_does(monkeypatch):
 def test_a_stage_that_never_comes_to_its_end_is_given_up(monkeypatch):
     """A servo that does not settle: here none is ever near enough."""
     monkeypatch.setattr(progress, "SEGMENT", SEGMENT)
-    monkeypatch.setattr(progress, "LONGEST", 0.5)
+    monkeypatch.setattr(progress, "LONGEST", 0.05)
     run = test(PROGRAMME[0]).run()
     assert "stage 1 of 1" in run.ended and "does not settle; lower time_step" in run.ended
     assert run.curve.axial_strain.size > 3
