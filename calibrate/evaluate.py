@@ -76,7 +76,7 @@ class Evaluator:
             if getattr(target, "places", None) is not None and getattr(model.simulator, "stages", None) == ():
                 raise ValueError(
                     f"'{target.label}' turns back at strain "
-                    f"{target.axial_strain[int(np.argmax(target.places.branch)) - 1]:g}, but the test has no stages: "
+                    f"{target.axial_strain[int(np.argmax(target.places.branch > 0)) - 1]:g}, but the test has no stages: "
                     "give it those of the data (stages=curve.stages(), or [[stage]] in its case file)."
                 )
             if reach is not None and target.last_strain > reach:

@@ -45,6 +45,7 @@ def test_a_stage_that_cannot_be_followed_is_told_and_no_failure(batch):
     assert set(np.unique(curves.stage.sel(member="friction=0.1").dropna("record"))) == {1.0, 2.0}
 
 
+@pytest.mark.slow
 def test_all_at_once_are_the_same_records(batch):
     """By vmap: what repeats after the end of a stage is left out."""
     many = run_batch(parameter_grid(TEST, friction=FRICTIONS), strategy="vmap")
@@ -57,6 +58,7 @@ def test_all_at_once_are_the_same_records(batch):
             )
 
 
+@pytest.mark.slow
 def test_in_another_process_to_the_last_bit(batch):
     with open_executor("processes:1") as pool:
         away = run_batch(parameter_grid(TEST, friction=FRICTIONS[:1]), executor=pool)
@@ -81,6 +83,7 @@ def test_from_a_sweep_file(tmp_path):
     assert curves.sizes["member"] == 2 and float(curves.stage.max()) == 2
 
 
+@pytest.mark.slow
 def test_float32_follows_the_same_stages():
     """To a share of the confining stress that single precision leaves."""
     single = replace(TEST, dtype=np.float32, tolerance=1e-3).run().curve
@@ -93,6 +96,7 @@ def test_float32_follows_the_same_stages():
             assert abs(one - other) < most, (number, field)
 
 
+@pytest.mark.slow
 def test_reverse_mode_is_the_tangent_along_a_path():
     """In a process of its own, without the fast kernels, with which it would be refused."""
     script = Path(__file__).with_name("stages_reverse_mode.py")
