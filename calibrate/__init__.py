@@ -8,6 +8,7 @@ from importlib import import_module
 
 _PLACES = {
     "targets": ("Datum", "HardPeak", "InitialSlope", "RatioAt", "SmoothPeak", "StrainAtPeak", "WindowMean"),
+    "branches": ("OnBranch",),
     "functionals": (
         "E50",
         "FrictionAngle",

@@ -69,8 +69,16 @@ class Evaluator:
         self.targets = list(targets) if isinstance(targets, list | tuple) else [targets]
         if not self.targets:
             raise ValueError("targets is empty: give at least one Datum or MeasuredCurve.")
-        reach = getattr(model.simulator, "axial_strain", None)
+        # A test in stages goes where these lead.
+        staged = bool(getattr(model.simulator, "stages", ()))
+        reach = None if staged else getattr(model.simulator, "axial_strain", None)
         for target in self.targets:
+            if getattr(target, "places", None) is not None and getattr(model.simulator, "stages", None) == ():
+                raise ValueError(
+                    f"'{target.label}' turns back at strain "
+                    f"{target.axial_strain[int(np.argmax(target.places.branch > 0)) - 1]:g}, but the test has no stages: "
+                    "give it those of the data (stages=curve.stages(), or [[stage]] in its case file)."
+                )
             if reach is not None and target.last_strain > reach:
                 raise ValueError(
                     f"'{target.label}' goes to strain {target.last_strain:g}, but the test stops at axial_strain = "

@@ -46,12 +46,14 @@ def calibrate_file(
     no start gives a sound run. Warns of data that look wrong; the warnings stand in the fit and in fit.json too.
     """
     curve = data if isinstance(data, MeasuredCurve) else read_measured(data, **reading)
-    check_reach(curve, test.axial_strain)
+    if not getattr(test, "stages", ()):
+        check_reach(curve, test.axial_strain)
     file = _file(curve)
     volume = curve.volumetric_strain
     changed = "none" if volume is None else f"{100 * volume.min():.4g} to {100 * volume.max():.4g} %"
     report(
         f"read {len(curve)} rows: axial strain {100 * curve.axial_strain[0]:.4g} to {100 * curve.last_strain:.4g} %, "
+        f"{_turning(curve)}"
         f"stress ratio {curve.stress_ratio.min():.4g} to {curve.stress_ratio.max():.4g}, volumetric strain {changed}"
     )
     if str(curve.facts):
@@ -75,11 +77,11 @@ def calibrate_file(
     before = len(found.warnings)
     if check:
         stop = curve.last_strain
-        window = WindowMean(0.5 * stop, stop)
+        window = WindowMean(0.5 * stop, stop) if curve.places is None else curve
         with telling(bool(progress)) as tell:
             tell("health of the gradient")
             slopes = gradient(model, window, values=found.estimate, steps=(1e-3, 1e-4))
-        report(f"gradient of the {window.name} at the answer")
+        report(f"gradient of the {getattr(window, 'name', curve.label)} at the answer")
         report(str(slopes))
         found = _with_health(found, slopes.health)
         if found.warnings[before:]:
@@ -99,6 +101,10 @@ def check_reach(curve: MeasuredCurve, axial_strain: float) -> None:
             f"axial_strain = {axial_strain:g}: run it farther, or cut the data; if the strains of the file are in "
             "percent, write [%] behind the name of their column."
         )
+
+
+def _turning(curve: MeasuredCurve) -> str:
+    return "" if curve.places is None else f"turning back {int(curve.places.branch.max())} time(s), "
 
 
 def _file(curve: MeasuredCurve) -> str:

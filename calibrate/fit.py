@@ -57,8 +57,9 @@ def fit_parameters(
     names: parameters or aliases: f, kn, ks, ks/kn, s3, beta, rho (see calibrate.parameters).
     start: "rule" (friction from the peak by Thornton's inverse, kn from the rise), "test" (the test's own), or values.
     bounds: {name: (lower, upper)} physical. priors: {name: Prior}.
-    jacobian: "economical" (see the module), "tangent" (a fresh pass at every point), "difference" (two-point, step
-        1e-4: on smooth runs it beats a tangent that costs more than about 0.7 of a run, and fails where runs scatter).
+    jacobian: "economical" (see the module; of a test in stages it is "tangent"), "tangent" (a fresh pass at every
+        point), "difference" (two-point, step 1e-4: on smooth runs it beats a tangent that costs more than about 0.7 of
+        a run, and fails where runs scatter).
     by_rule: begin with runs carried over by similarity, four at most.
     tolerance: smallest step of a log or logit that is still worth a run [-].
     max_runs: forward-equivalent runs after which to stop.
@@ -81,6 +82,8 @@ def fit_parameters(
         else Model(simulator, ParameterSet.of(simulator.params, names, bounds))
     )
     evaluator = Evaluator(model, targets, log)
+    if getattr(model.simulator, "stages", ()) and jacobian == "economical":
+        jacobian = "tangent"  # similarity says nothing of curves that turn at given strains
     prior_rows = _prior_rows(model.parameters, priors)
     evaluator.check_count(extra=len(prior_rows[0]))
     first = _first_point(model, evaluator, start, starts, seed)

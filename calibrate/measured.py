@@ -6,12 +6,14 @@ Compression is positive for stress and strain, strains are fractions inside; vol
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 
 from axijax.core.shown import Card, line_picture, per_cent, shown
+from calibrate.branches import TURN, Places, reversals
 from calibrate.columns import read_columns
 from calibrate.doubts import ConfiningStress, doubts, of_facts, without_padding
 from calibrate.facts import Facts, length, stress
@@ -28,12 +30,14 @@ Q_INSTEAD = "the column holds q = s1 - s3, name it q and give confining_stress t
 class MeasuredCurve:
     """A measured test, compared with a simulated one at its own strains.
 
-    axial_strain: (M,) increasing, compression positive [-].
+    axial_strain: (M,) increasing, or turning back where `unloading` says so, compression positive [-].
     stress_ratio: (M,) s1/s3 [-].
     volumetric_strain: (M,) loss of volume, compression positive [-], or None.
     ratio_sigma, volume_sigma: standard uncertainty of each kind of value [-], a number or (M,). They are the weights.
     sigma_known: whether these are real uncertainties; otherwise only their proportion counts and the size of the
         scatter is estimated from the residuals.
+    unloading: whether the strain may turn back; then the curve is compared branch by branch (`calibrate.branches`), for
+        tests whose stages turn as it does, see `stages`.
     source: where it comes from. confining: the confining stress that the file gives, or None.
     facts: what the file says of the specimen beside its columns (test, void ratio, grading and so on).
     warnings: what looks wrong in a file that could be read.
@@ -49,6 +53,7 @@ class MeasuredCurve:
     ratio_sigma: float | np.ndarray = 0.02
     volume_sigma: float | np.ndarray = 1e-4
     sigma_known: bool = False
+    unloading: bool = False
     source: str = ""
     confining: ConfiningStress | None = None
     facts: Facts = field(default_factory=Facts)
@@ -88,7 +93,7 @@ class MeasuredCurve:
         rows = {
             "source": Path(self.source).name or "none",
             "points": str(len(self)),
-            "axial strain": f"{per_cent(strain[0])} to {per_cent(strain[-1])}",
+            "axial strain": f"{per_cent(strain[0])} to {per_cent(strain.max())}",
             "stress ratio [-]": f"{ratio.min():.4g} to {ratio.max():.4g}",
             "the file says": str(self.facts) or "nothing",
             "warnings": "; ".join(self.warnings) or "none",
@@ -105,21 +110,22 @@ class MeasuredCurve:
                 "(tension positive) behind the names of strains and stresses, or turn the signs in the file."
             )
         steps = np.diff(strain)
-        if (steps <= 0).any():
+        if not self.unloading and (steps <= 0).any():
             row = int(np.flatnonzero(steps <= 0)[0])
             how = "repeats" if steps[row] == 0 else "falls back to"
             raise DataError(
                 f"axial_strain {how} {strain[row + 1]:g} after {strain[row]:g} in data row {row + 2}: must increase "
-                "from row to row; sort the file, drop unloading branches, and keep one test of several."
+                "from row to row; sort the file, keep one test of several, and drop unloading branches, or read them "
+                "too (unloading, --unloading)."
             )
         if strain[0] < 0:
             raise DataError(
                 f"axial_strain starts at {strain[0]:g}: must start at or above zero, the end of confinement; drop the "
                 "rows before it, or subtract what the gauge showed there."
             )
-        if strain[-1] >= 0.5:
+        if strain.max() >= 0.5:
             raise DataError(
-                f"axial_strain reaches {strain[-1]:g}: must stay below 0.5; is the file in percent? Then write "
+                f"axial_strain reaches {strain.max():g}: must stay below 0.5; is the file in percent? Then write "
                 "[%] behind the name of the column, or columns = {'axial_strain': '[%]'} (--column 'axial_strain=[%]')."
             )
         if (ratio <= 0).any():
@@ -128,7 +134,7 @@ class MeasuredCurve:
                 f"stress_ratio = {ratio[row]:g} in data row {row + 1}: s1/s3 must be positive (1 when isotropic). If "
                 f"{Q_INSTEAD}."
             )
-        if ratio.min() < LOWEST_RATIO:
+        if not self.unloading and ratio.min() < LOWEST_RATIO:
             row = int(ratio.argmin())
             raise DataError(
                 f"stress_ratio = {ratio[row]:g} in data row {row + 1}: s1/s3 is 1 when isotropic and rises in "
@@ -158,7 +164,45 @@ class MeasuredCurve:
     @property
     def last_strain(self) -> float:
         """Axial strain that a run must reach [-]."""
-        return float(self.axial_strain[-1])
+        return float(self.axial_strain.max())
+
+    @cached_property
+    def places(self) -> Places | None:
+        """Where its points lie on its branches; None where it never turns back."""
+        found = Places.of(self.axial_strain) if self.unloading else None
+        return found if found is not None and found.branch.any() else None
+
+    @property
+    def advancing(self) -> "MeasuredCurve":
+        """Without its points that do not lie beyond all before them: the curve of the first loading."""
+        from axijax.core.smoothing import advancing  # takes long to import
+
+        if not self.unloading:
+            return self
+        kept = advancing(self.axial_strain)
+        spread = {
+            name: value if np.ndim(value) == 0 else np.asarray(value)[kept]
+            for name, value in (("ratio_sigma", self.ratio_sigma), ("volume_sigma", self.volume_sigma))
+        }
+        volume = None if self.volumetric_strain is None else self.volumetric_strain[kept]
+        return replace(
+            self, axial_strain=self.axial_strain[kept], stress_ratio=self.stress_ratio[kept], volumetric_strain=volume,
+            unloading=False, **spread,
+        )  # fmt: skip
+
+    def stages(self) -> tuple:
+        """Stages of a test that turns where this curve does, for TriaxialTest(stages=...): strain-controlled, at
+        constant lateral stress."""
+        from axijax import stage
+
+        turns = [float(self.axial_strain[i]) for i in reversals(self.axial_strain, TURN * np.ptp(self.axial_strain))]
+        limits = [*turns, float(self.axial_strain[-1])]
+        pairs = zip(limits[::2], limits[1::2], strict=False)
+        made = [stage("cycles", first=first, second=second) for first, second in pairs]
+        if len(limits) % 2:
+            back, end = [0.0, *limits][-2:]
+            made.append(stage("compression" if end > back else "extension", axial_strain=end))
+        return tuple(made)
 
     @property
     def observed(self) -> np.ndarray:
@@ -179,6 +223,9 @@ class MeasuredCurve:
 
     def predict(self, curve):
         """What a simulated curve gives at the measured strains; shaped like `observed`, NaN beyond the run's end."""
+        if self.places is not None:
+            fields = ("stress_ratio",) if self.volumetric_strain is None else ("stress_ratio", "volumetric_strain")
+            return jnp.concatenate(self.places.read(curve, *fields))
         ratio = _at(curve, self.axial_strain, "stress_ratio")
         if self.volumetric_strain is None:
             return ratio
@@ -213,6 +260,7 @@ def read_measured(
     height: str | None = None,
     void_ratio: float | None = None,
     confining_stress: str | None = None,
+    unloading: bool = False,
     **uncertainties,
 ) -> MeasuredCurve:
     """Read a measured test from a text file as laboratories keep it.
@@ -231,6 +279,8 @@ def read_measured(
         {"axial_displacement": "Weg [mm]", "q": "[kPa]", "eps_v": "dV/V (dilation positive)"}.
     test: which test, where the file holds several. height: of the specimen at the start of the shear, with its unit,
         "100 mm". void_ratio: e0, there [-]. confining_stress: with its unit, "200 kPa".
+    unloading: whether the strain may turn back, as MeasuredCurve says; otherwise a strain that falls is refused, since
+        it may as well be a second test.
     uncertainties: ratio_sigma, volume_sigma, sigma_known of MeasuredCurve.
 
     A study file hands over the same as a table: read_measured(table.pop("data"), **table).
@@ -257,11 +307,13 @@ def read_measured(
         confining = ConfiningStress(read.facts.confining_stress, True)
     try:
         curve = MeasuredCurve(
-            strain, ratio, volume, source=str(path), confining=confining, facts=read.facts, **uncertainties
-        )
+            strain, ratio, volume, source=str(path), confining=confining, facts=read.facts, unloading=unloading,
+            **uncertainties,
+        )  # fmt: skip
     except DataError as error:
         raise DataError(f"{path.name}: {error}") from None
-    found = cut + doubts(curve.axial_strain, curve.stress_ratio, curve.volumetric_strain, read.strain_marked)
+    first = curve.advancing
+    found = cut + doubts(first.axial_strain, first.stress_ratio, first.volumetric_strain, read.strain_marked)
     found += [*read.doubts, *of_facts(read.facts)]
     if confining is not None and read.confining_stress is not None:
         found += confining.uneven(read.confining_stress, read.made_of)

@@ -190,8 +190,12 @@ def jacobian_of(target, curve, tangents) -> tuple[np.ndarray, np.ndarray]:
 def stretch_tangent(curve) -> SimpleNamespace:
     """d(curve)/d(log kn) at fixed ks/kn without a tangent run, fields of (1, T): R(eps; c kn) = R(c eps; kn), hence
     eps dR/d(eps); the volumetric strain scales as 1/c itself. Quasi-static, small strain (PHYSICS 3.3): what changes
-    the geometry, such as the softening after the peak, does not stretch, so use it before and around the peak."""
+    the geometry, such as the softening after the peak, does not stretch, so use it before and around the peak. NaN for
+    a curve that turns back, since the strains where it does are given."""
     strain = curve.axial_strain
+    if (np.diff(strain) <= 0).any():
+        names = [name for name in FIELDS if hasattr(curve, name)]
+        return SimpleNamespace(**{name: np.full((1, strain.size), np.nan) for name in names})
     fields = {"axial_strain": np.zeros_like(strain)[None]}
     for name in ("stress_ratio", "virial_ratio", "core_ratio"):
         if hasattr(curve, name):

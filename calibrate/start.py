@@ -31,7 +31,8 @@ def observed_rise(targets) -> float | None:
     """Strain at half the rise that the targets show, None without a curve [-]."""
     for target in targets:
         if isinstance(target, MeasuredCurve):
-            return half_rise_strain(target.axial_strain, target.stress_ratio)
+            first = target.advancing
+            return half_rise_strain(first.axial_strain, first.stress_ratio)
     return None
 
 

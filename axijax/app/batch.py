@@ -86,6 +86,7 @@ class Outcome:
 
     seconds: spent on it; a vmap's time is divided among its members.
     resumed: read from the folder, not computed.
+    ended: of a test in stages, why it ended before its last one was done; empty where it did not.
     """
 
     member: Member
@@ -93,6 +94,7 @@ class Outcome:
     failure: str | None
     seconds: float
     resumed: bool = False
+    ended: str = ""
 
 
 @shown
@@ -112,12 +114,17 @@ class BatchResult:
         """Why the others have none, by name."""
         return {o.member.name: o.failure for o in self.outcomes if o.failure is not None}
 
+    @property
+    def ended(self) -> dict[str, str]:
+        """Why tests in stages ended before their last one was done, by name; those are no failures."""
+        return {o.member.name: o.ended for o in self.outcomes if o.ended}
+
     def _card(self) -> Card:
         peaks = {name: peak_of(curve).short for name, curve in itertools.islice(self.curves.items(), SHOWN)}
         more = len(self.curves) - len(peaks)
         rows = {"members": str(len(self.outcomes)), "failed": str(len(self.failures)), **peaks}
         rows |= {"and": f"{more} more"} if more > 0 else {}
-        rows |= dict(itertools.islice(self.failures.items(), SHOWN))
+        rows |= dict(itertools.islice((self.ended | self.failures).items(), SHOWN))
         return Card("BatchResult", rows, brief=("members", "failed"))
 
     def dataset(self):
@@ -213,7 +220,7 @@ def run_batch(
         if found is None:
             todo.append(member)
         else:
-            done(Outcome(member, found.curve, None, found.seconds, resumed=True))
+            done(Outcome(member, found.curve, None, found.seconds, resumed=True, ended=found.ended))
 
     def give_up(_: int, result: object) -> None:
         if isinstance(result, Exception):  # such as a full disk; a member's own failure does not get here
@@ -253,13 +260,14 @@ def _each(task: Sequence[Member], tell, done) -> None:
         def advance(now: Progress, member=member) -> None:
             tell(member.name, now.share(member.test), now.stress_ratio)
 
-        curve, failure = None, None
+        curve, failure, ended = None, None, ""
         try:
             tell(member.name, 0.0, 1.0)
-            curve = test.run(member.params, progress=advance).curve
+            run = test.run(member.params, progress=advance)
+            curve, ended = run.curve, run.ended
         except Exception as error:
             failure = str(error) if isinstance(error, ValueError | RuntimeError) else f"{type(error).__name__}: {error}"
-        done(Outcome(member, curve, failure, time.perf_counter() - started))
+        done(Outcome(member, curve, failure, time.perf_counter() - started, ended=ended))
 
 
 def _together(task: Sequence[Member], tell, done) -> None:
@@ -284,11 +292,19 @@ def _together(task: Sequence[Member], tell, done) -> None:
         if curve.status or not acceptable(member):
             _each([member], tell, done)
             continue
-        wanted = (curve.axial_strain <= member.test.axial_strain) | bool(member.test.stages)
+        wanted = curve.axial_strain <= member.test.axial_strain
+        if member.test.stages:
+            wanted = _fresh([getattr(curve, name) for name in records_of(curve)])
         curve = replace(curve, **{name: getattr(curve, name)[wanted] for name in records_of(curve)})
         warn_of_chatter(curve)
         tell(member.name, 1.0, float(curve.stress_ratio[-1]))
         done(Outcome(member, curve, None, seconds))
+
+
+def _fresh(records: Sequence[np.ndarray]) -> np.ndarray:
+    """Which of T records do not repeat the one before, as `simulate` does once a stage has ended."""
+    repeats = [np.equal(values[1:], values[:-1]) | np.isnan(values[1:]) for values in records]
+    return np.concatenate([[True], ~np.all(repeats, axis=0)])
 
 
 @partial(jax.jit, static_argnums=0)
@@ -350,4 +366,4 @@ def _unrun(member: Member) -> Stored:
 
 
 def _stored(outcome: Outcome) -> Stored:
-    return replace(_unrun(outcome.member), curve=outcome.curve, seconds=outcome.seconds)
+    return replace(_unrun(outcome.member), curve=outcome.curve, seconds=outcome.seconds, ended=outcome.ended)

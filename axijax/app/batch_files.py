@@ -44,6 +44,7 @@ class Stored:
     labels: dict[str, Any]
     curve: Curve | None = None
     seconds: float = 0.0
+    ended: str = ""
 
     def one(self) -> "xarray.Dataset":
         """Its curve with dimension record, and everything else as scalar coordinates and attributes."""
@@ -61,6 +62,7 @@ class Stored:
             "identity": json.dumps(identity(self.test, self.params)),
             "labels": json.dumps(list(self.labels)),
             "confinement": json.dumps([float(value) for value in curve.confinement]),
+            **({"ended": self.ended} if self.ended else {}),
             **versions(),
         }
         data = curves_dataset({self.name: curve}, {name: [value] for name, value in about.items()}, attributes)
@@ -133,7 +135,7 @@ def read_member(folder: Path, wanted: Stored) -> Stored | None:
     records: dict[str, Any] = {name: data[name].values[0] for name in records_of(data)} | {"status": np.int32(0)}
     confinement = Confinement._make(map(np.asarray, (unbalanced, stress_error, int(steps))))
     curve = Curve(**records, confinement=confinement)
-    return replace(wanted, curve=curve, seconds=float(data.seconds.values[0]))
+    return replace(wanted, curve=curve, seconds=float(data.seconds.values[0]), ended=str(data.attrs.get("ended", "")))
 
 
 def write_member(folder: Path, member: Stored) -> None:
@@ -152,7 +154,8 @@ def write_failure(folder: Path, name: str, failure: str) -> None:
 
 
 def write_summary(folder: Path) -> None:
-    """Write summary.csv: a row a member, with labels, peak and time, or why it failed.
+    """Write summary.csv: a row a member, with labels, peak and time, or why it failed; and where a stage could not be
+    followed to its end, why.
 
     Of several processes each writes it at its end and looks whether another has added something meanwhile, so that
     the last one's is complete.
@@ -165,9 +168,11 @@ def write_summary(folder: Path) -> None:
             labels = json.loads(data.attrs["labels"])
             names |= dict.fromkeys(labels)
             values = {name: data[name].values.tolist()[0] for name in (*labels, *PEAK, "seconds")}
-            rows.append({"member": str(data.member.values[0]), **values})
+            ended = {"ended": data.attrs["ended"]} if data.attrs.get("ended") else {}
+            rows.append({"member": str(data.member.values[0]), **values, **ended})
         rows += [json.loads(file.read_text()) for file in failed]
-        columns = ("member", *names, *PEAK, "seconds", "failure")
+        some_ended = ["ended"] if any("ended" in row for row in rows) else []
+        columns = ("member", *names, *PEAK, "seconds", *some_ended, "failure")
         save_table(folder / SUMMARY, columns, [dict.fromkeys(columns) | row for row in rows])
         if (files, failed) == (_files(folder), sorted((folder / MEMBERS).glob(f"[!.]*{FAILED}"))):
             return

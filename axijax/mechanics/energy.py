@@ -1,6 +1,7 @@
 """The energy ledger: where the work done on a specimen went, kept beside the motion only where it is asked for.
 
-Work of the platens, of the lateral load and of further terms = gain of kinetic and elastic energy + friction + damping.
+Work of the platens, of the lateral load, of further terms and on a pore fluid = gain of kinetic and elastic energy, the
+fluid's included, + friction + damping.
 Every term has a definition of its own and none is found by difference, so that what is missing measures the
 integration.
 
@@ -12,10 +13,15 @@ included, but for contacts that open, close or turn during a step. A Hertzian co
 mean of its overlaps before and after, which closes at second order in the step. Its tangential spring loses energy when
 the contact radius changes (see `axijax.mechanics.hertz`); that is booked with the slip, exactly.
 
+A pore fluid is no term: effective stresses load the balls, and what platens and membrane do beside that work is done on
+the fluid, its pressure times the volume that the specimen loses. That volume is the one by which the path knows its
+pore pressure, the corrections at its records included (`Stage.recorded`).
+
 All terms are those of one sector: a ball on the axis counts 1/n, and each contact once.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +34,15 @@ from axijax.mechanics.state import State
 from axijax.mechanics.term import share_of_sector
 
 
+class FluidWork(NamedTuple):
+    """work: done on a pore fluid by platens and membrane [F L]. volume: of a sector at the first step [L^3]; strain: of
+    the volume at the last step as the path knows it, natural [-]; NaN before the first."""
+
+    work: jax.Array
+    volume: jax.Array
+    strain: jax.Array
+
+
 class Ledger(NamedTuple):
     """Energy moved since the ledger was opened; scalars [F L].
 
@@ -36,6 +51,7 @@ class Ledger(NamedTuple):
     damping: lost to dashpots, or to local or background damping.
     platen_work, lateral_work: done on the balls by the platens and by the lateral load.
     other_work: done on them by all further terms.
+    fluid: work on a pore fluid.
     """
 
     friction: jax.Array
@@ -43,6 +59,7 @@ class Ledger(NamedTuple):
     platen_work: jax.Array
     lateral_work: jax.Array
     other_work: jax.Array
+    fluid: FluidWork
 
 
 class EnergyBalance(NamedTuple):
@@ -51,6 +68,7 @@ class EnergyBalance(NamedTuple):
     translation, spin: kinetic energy of the balls.
     normal_springs, shear_springs: elastic energy of the contacts, walls included.
     friction, damping, platen_work, lateral_work, other_work: as in `Ledger`.
+    fluid_work, fluid: done on a pore fluid, and its elastic energy.
     """
 
     translation: jax.Array
@@ -62,26 +80,36 @@ class EnergyBalance(NamedTuple):
     platen_work: jax.Array
     lateral_work: jax.Array
     other_work: jax.Array
+    fluid_work: jax.Array
+    fluid: jax.Array
 
     @property
     def stored(self) -> jax.Array:
         """Kinetic and elastic energy [F L]."""
-        return self.translation + self.spin + self.normal_springs + self.shear_springs
+        return self.translation + self.spin + self.normal_springs + self.shear_springs + self.fluid
 
     @property
     def unaccounted(self) -> jax.Array:
         """What is stored and lost, less the work done [F L]; its change is the error of the integration."""
-        work = self.platen_work + self.lateral_work + self.other_work
+        work = self.platen_work + self.lateral_work + self.other_work + self.fluid_work
         return self.stored + self.friction + self.damping - work
 
 
 def open_ledger(dtype=jnp.float64) -> Ledger:
     """A ledger with nothing in it."""
-    return Ledger(*(jnp.zeros((), dtype) for _ in Ledger._fields))
+    zero, unknown = jnp.zeros((), dtype), jnp.full((), jnp.nan, dtype)
+    return Ledger(zero, zero, zero, zero, zero, FluidWork(zero, unknown, unknown))
 
 
-def make_ledger_step(scene: Scene, drive: PlatenDrive, loading: LoadingRule | None = None):
-    """A pure function step(params, network, load, dt, (state, ledger)) -> (state, ledger).
+# Energy of a pore fluid over the specimen's volume [F/L^2]: `axijax.triaxial.paths.Path.fluid`.
+FluidEnergy = Callable[[State], Any]
+
+
+def make_ledger_step(
+    scene: Scene, drive: PlatenDrive, loading: LoadingRule | None = None, fluid: FluidEnergy | None = None
+):
+    """A pure function step(params, network, load, dt, (state, ledger)) -> (state, ledger). fluid: where the path has a
+    pore fluid; of one that only has a pore pressure no work is booked.
 
     The state is advanced by `axijax.mechanics.dynamics.make_step`; the compiler finds its forces and the ledger's to be
     the same.
@@ -108,9 +136,28 @@ def make_ledger_step(scene: Scene, drive: PlatenDrive, loading: LoadingRule | No
             platen_work=ledger.platen_work + spent[1].work,
             lateral_work=ledger.lateral_work + spent[2].work,
             other_work=ledger.other_work + sum(each.work for each in spent[3:]),
+            fluid=_fluid_work(load, state, after, ledger.fluid) if fluid else ledger.fluid,
         )
 
     return step
+
+
+def _fluid_work(load: Load, state: State, after: State, known: FluidWork) -> FluidWork:
+    """One step later. The strain is counted from that of the step before, so that a correction between two steps is
+    booked too."""
+    assert state.loading is not None and after.loading is not None
+    height = state.platens[1] - state.platens[0]
+    axial = jnp.log(state.loading.height / height)
+    # A path's pore pressure after the step is that of positions before it, as is its lateral strain.
+    now = axial + 2 * after.loading.lateral_strain
+    before = jnp.where(jnp.isnan(known.strain), axial + 2 * state.loading.lateral_strain, known.strain)
+    volume = _first_volume(load, state, known)
+    pressure = 0.5 * (state.loading.pore_pressure + after.loading.pore_pressure)
+    return FluidWork(known.work + volume * pressure * (now - before), volume, now)
+
+
+def _first_volume(load: Load, state: State, known: FluidWork):
+    return jnp.where(jnp.isnan(known.volume), load.section * (state.platens[1] - state.platens[0]), known.volume)
 
 
 def _drag_power(params: Params, network: ContactList, forces, state: State, mean: State):
@@ -125,9 +172,17 @@ def _drag_power(params: Params, network: ContactList, forces, state: State, mean
 
 
 def energy_balance(
-    scene: Scene, params: Params, network: ContactList, load: Load, dt, state: State, ledger: Ledger
+    scene: Scene,
+    params: Params,
+    network: ContactList,
+    load: Load,
+    dt,
+    state: State,
+    ledger: Ledger,
+    fluid: FluidEnergy | None = None,
 ) -> EnergyBalance:
-    """All terms at t - dt/2 for a state at t; arguments as in `axijax.mechanics.dynamics.all_forces`.
+    """All terms at t - dt/2 for a state at t, a fluid's at t; arguments as in `axijax.mechanics.dynamics.all_forces`,
+    fluid as in `make_ledger_step`.
 
     The slip of the step before t is known only from the forces at t, which are found here once more.
     """
@@ -144,5 +199,11 @@ def energy_balance(
         spin=spin,
         normal_springs=sum(part.normal_springs for part in stored),
         shear_springs=sum(part.shear_springs for part in stored),
-        **ledger._replace(friction=ledger.friction + pending)._asdict(),
+        friction=ledger.friction + pending,
+        damping=ledger.damping,
+        platen_work=ledger.platen_work,
+        lateral_work=ledger.lateral_work,
+        other_work=ledger.other_work,
+        fluid_work=ledger.fluid.work,
+        fluid=_first_volume(load, state, ledger.fluid) * fluid(state) if fluid else jnp.zeros_like(spin),
     )

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from axijax.triaxial.test import TriaxialTest
 
 FORMAT = "axijax shear in progress"
-VERSION = 5
+VERSION = 6
 
 
 def save_progress(path: Path, test: "TriaxialTest", progress: Progress) -> None:

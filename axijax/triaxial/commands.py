@@ -241,6 +241,10 @@ class Membrane:
         or None."""
         raise NotImplementedError
 
+    def stored(self, pore_pressure) -> Any:
+        """Elastic energy of a pore fluid over the specimen's volume [F/L^2]."""
+        return 0.0
+
     def finished(self, memory) -> Any:
         """As of `Platens`."""
         return None
@@ -345,3 +349,6 @@ class Fluid(Membrane):
         pressure = start.pore_pressure + self.fluid_modulus / self.porosity * (axial + 2 * lateral)
         damping, mean = quieted(now, start, memory)
         return start.lateral_stress + start.pore_pressure - pressure + damping, mean, pressure, damping
+
+    def stored(self, pore_pressure):
+        return 0.5 * pore_pressure**2 * self.porosity / self.fluid_modulus

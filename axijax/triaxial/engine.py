@@ -103,8 +103,17 @@ def _block(scene: Scene, path: Path, record_every: int, lists: Lists, dt, params
         watched = path.watch(seen, state)
 
         def further(state):
-            state = state._replace(loading=path.recorded(seen, state))
-            return fixed_steps(partial(step, load), network, dt, tight, state, record_every)
+            one = partial(step, load)
+            loading, steps = path.recorded(seen, state, dt, record_every)
+            state = state._replace(loading=loading)
+            if steps is not record_every:
+                # All are gone through, since reverse mode needs their number; those that are too many do nothing.
+                end = state.time + (steps - 0.5) * dt
+
+                def one(network, state):
+                    return jax.lax.cond(state.time < end, partial(step, load, network), lambda state: state, state)
+
+            return fixed_steps(one, network, dt, tight, state, record_every)
 
         if type(path).going is Path.going:
             return further(state), (seen, status, watched)
@@ -206,15 +215,16 @@ def march_until(
             seen = jax.tree.map(lambda values, value: values.at[place].set(value, mode="drop"), seen, found)
         steps = now.steps + taken
         watched = jax.tree.map(lambda old, new: jnp.where(due == 0, new, old), now.watched, path.watch(found, state))
+        ahead = record_every
         if state.loading is not None:
             on = (due == 0) & path.going(watched, steps)
-            loading = jax.tree.map(partial(jnp.where, on), path.recorded(found, state), state.loading)
-            state = state._replace(loading=loading)
+            loading, ahead = path.recorded(found, state, dt, record_every)
+            state = state._replace(loading=jax.tree.map(partial(jnp.where, on), loading, state.loading))
         return Stretch(
             state=state,
             seen=seen,
             records=now.records + recorded,
-            due=jnp.where(recorded, record_every, due),
+            due=jnp.where(recorded, ahead, due),
             steps=steps,
             watched=watched,
             status=now.status | status,

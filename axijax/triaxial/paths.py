@@ -52,9 +52,14 @@ class Path:
         closed = (speeds[0] - speeds[1]) * dt / state.loading.height
         return state.loading._replace(path_length=state.loading.path_length + jnp.abs(closed))
 
-    def recorded(self, seen: Observation, state: State) -> Loading | None:
-        """What it remembers after a record, of what it remembered before."""
-        return state.loading
+    def recorded(self, seen: Observation, state: State, dt, most: int) -> tuple[Loading | None, jax.Array | int]:
+        """What it remembers after a record, of what it remembered before; and the steps to the next record, at most so
+        many, fewer where the stage is to end before."""
+        return state.loading, most
+
+    def fluid(self, state: State) -> Any:
+        """Elastic energy of a pore fluid over the specimen's volume, for the energy ledger [F/L^2]."""
+        return 0.0
 
     def watch(self, seen: Observation, state: State) -> Any:
         """What of a record decides whether it goes on; a pytree. Before the first all that is seen is infinite."""

@@ -20,6 +20,7 @@ from axijax.mechanics.rolling import RotationResistance
 from axijax.mechanics.time_step import DEFAULT_STEP, check_step, critical_time_step
 from axijax.triaxial.feasible import pressed_in
 from axijax.triaxial.paths import Compression, Expected, Isotropic, Path, wave_speed
+from axijax.triaxial.stage import SHORTENED
 
 if TYPE_CHECKING:
     from axijax.triaxial.test import TriaxialTest
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 # The deepest overlap of a packing, in radii, over what `pressed_in` says: with five contacts a ball each bears 4.2 s3
 # r^2 in the mean, and of some thousands one bears seven times as much.
 DEEPEST = 30.0
+MORE_RECORDS = 2 + SHORTENED  # of a stage: one at its start, one past its end, and those that come early
 MOST_STEPS = 2**31 - 1  # steps are counted in 32 bits; so many take days
 
 
@@ -168,7 +170,7 @@ def prepare(test: "TriaxialTest") -> Prepared:
             record_every=test.record_every,
             refresh=test.refresh,
             rebuild_every=test.rebuild_every,
-            stage_records=tuple(int(np.ceil(each / step / test.record_every)) + 2 for each in durations),
+            stage_records=tuple(int(np.ceil(each / step / test.record_every)) + MORE_RECORDS for each in durations),
         ),
         stages=test.stages,
         ramp_time=ramp,

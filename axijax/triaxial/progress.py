@@ -24,6 +24,7 @@ from axijax.triaxial.stages import settle, start_loading, start_shear, start_sta
 if TYPE_CHECKING:
     from axijax.triaxial.test import TriaxialTest
 
+LONGEST = 3  # times what a stage is expected to take at most, after which it is given up
 SEGMENT = 1000  # steps between looks at the run from outside: progress, rebuilding, errors
 
 
@@ -182,8 +183,11 @@ def go_on(test: "TriaxialTest", now: Progress, until: float | None = None) -> Pr
         due=int(reached.due), taken=now.taken + int(reached.steps) - now.steps, steps=int(reached.steps),
         worn=bool(reached.worn or on_time),
     )  # fmt: skip
-    if test.stages and not path.going(reached.watched, after.steps):
-        after = after._replace(stage=now.stage + 1, begun=False, over=bool(path.failed(reached.watched)))
+    if test.stages:
+        most = LONGEST * prepared.numerics.stage_records[now.stage] * test.record_every
+        going = bool(path.going(reached.watched, after.steps))
+        if not going or after.steps > most:
+            after = after._replace(stage=now.stage + 1, begun=False, over=going or bool(path.failed(reached.watched)))
     return after
 
 
@@ -205,7 +209,10 @@ def why_over(test: "TriaxialTest", now: Progress) -> str:
         return ""
     path = test.stages[now.stage - 1]
     last = jax.tree.map(lambda values: values[-1], now.records)
-    told = path.ended(path.watch(last, now.state))
+    told = path.ended(path.watch(last, now.state)) or (
+        f"it has not come to where it leads in {LONGEST} times the steps that it should take at most: its servo does "
+        "not settle; lower time_step, or give the stage a time"
+    )
     return f"stage {now.stage} of {len(test.stages)} ended at {100 * now.strain:.3g} % axial strain: {told}"
 
 

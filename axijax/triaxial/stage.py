@@ -44,6 +44,7 @@ from axijax.triaxial.paths import Path, wave_speed
 # Shares of the confining stress: below the first the specimen bears no stress any more; a servo may be off by the
 # second, and must be within the third before a stress counts as reached.
 NOTHING, ASTRAY, REACHED = 0.01, 0.3, 1e-3
+SHORTENED = 6  # records of a stage that may come early, so that one of them comes as it ends
 
 ENDED = {
     2: "the lateral stress has fallen to nothing: the specimen has liquefied, or is pulled apart",
@@ -55,7 +56,11 @@ ENDED = {
 @pytree
 @dataclass(frozen=True)
 class Until:
-    """Where a stage ends: at the first record that has reached one of these, from whichever side it comes."""
+    """Where a stage ends: within a step after one of these is reached, from whichever side it comes.
+
+    That is the step after which a record is made, since the record before tells when: by secants through the last two.
+    Where a stress scatters from record to record it may come up to one record later.
+    """
 
     axial_strain: jax.Array | float | None = quantity(
         None, "axial strain at which the stage ends, since the end of confinement", "-", least=-1.0, below=0.5,
@@ -83,6 +88,15 @@ class Until:
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if getattr(self, f.name) is not None}
 
 
+class Looked(NamedTuple):
+    """What the last record has shown. time: of it in the stage, negative before the first [T]. beyond: how far each of
+    Until's was beyond its limit, in their units. short: how many records have come early."""
+
+    time: jax.Array
+    beyond: tuple[jax.Array, ...]
+    short: jax.Array
+
+
 class StageMemory(NamedTuple):
     """Where the stage started, and what its commands remember. volume: at its first record; zero before [L^3]."""
 
@@ -90,6 +104,7 @@ class StageMemory(NamedTuple):
     volume: jax.Array
     platens: Any
     membrane: Any
+    last: Looked
 
 
 @pytree
@@ -128,7 +143,8 @@ class Stage(Path):
             confining_stress=jnp.asarray(params.confining_stress, height.dtype),
         )
         nothing = jnp.zeros_like(start.axial_strain)
-        memory = StageMemory(start, nothing, self.platens.begin(start), self.membrane.begin(start))
+        last = Looked(nothing - 1, (nothing,) * len(self.until.given()), jnp.zeros((), jnp.int32))
+        memory = StageMemory(start, nothing, self.platens.begin(start), self.membrane.begin(start), last)
         return loading._replace(memory=memory)
 
     def _now(self, params, dt, state: State, push, section) -> Now:
@@ -179,12 +195,16 @@ class Stage(Path):
         )
         return jax.tree.map(lambda new, old: jnp.asarray(new, jnp.asarray(old).dtype), found, before)
 
-    def recorded(self, seen, state):
+    def recorded(self, seen, state, dt, most):
         """The lateral strain follows the volume that is recorded, from record to record; between them it is that of the
         membrane's balls, which is known at every step."""
+        loading, steps = state.loading, most
+        if self.until.given():
+            last, steps = self._look_ahead(seen, state, dt, most)
+            loading = loading._replace(memory=loading.memory._replace(last=last))
         if not self._keeps_strain:
-            return state.loading
-        loading, memory = state.loading, state.loading.memory
+            return loading, steps
+        memory = loading.memory
         first = memory.volume == 0
         volume = jnp.where(first, seen.volume, memory.volume)
         axial = jnp.log(loading.height / seen.height) - memory.start.axial_strain
@@ -193,12 +213,30 @@ class Stage(Path):
         return loading._replace(
             lateral_strain=jnp.where(first, loading.lateral_strain, caught).astype(loading.lateral_strain.dtype),
             memory=memory._replace(volume=volume.astype(memory.volume.dtype)),
-        )
+        ), steps
 
-    def watch(self, seen, state):
-        """A number: 0 goes on, 1 is done, more than that see ENDED."""
+    def fluid(self, state):
+        return self.membrane.stored(state.loading.pore_pressure)
+
+    def _look_ahead(self, seen, state, dt, most):
+        """What this record shows, and the steps to the next: fewer where the last two tell that the stage ends then."""
+        last = state.loading.memory.last
+        beyond = tuple(now for now, _ in self._beyond(seen, state))
+        left = jnp.full((), jnp.inf)
+        for now, before in zip(beyond, last.beyond, strict=True):
+            rate = (now - before) / (state.time - last.time)
+            nearing = jnp.isfinite(rate) & (now * rate < 0) & (last.time >= 0)
+            left = jnp.minimum(left, jnp.where(nearing, -now / jnp.where(nearing, rate, 1.0), jnp.inf))
+        steps = jnp.ceil(jnp.minimum(jax.lax.stop_gradient(left) / dt, most) - 1e-6)
+        early = (steps < most) & (last.short < SHORTENED)
+        steps = jnp.where(early, jnp.maximum(steps, 1), most).astype(jnp.int32)
+        found = Looked(state.time, beyond, last.short + early)
+        return jax.tree.map(lambda new, old: jnp.asarray(new, old.dtype), found, last), steps
+
+    def _beyond(self, seen, state):
+        """Of each of Until's, how far it is beyond its limit now, and how far it was at the start of the stage."""
         loading = state.loading
-        memory, start = loading.memory, loading.memory.start
+        start = loading.memory.start
         axial, lateral = seen.stress_ratio * seen.lateral_stress, seen.lateral_stress
         measured = {
             "axial_strain": (1 - seen.height / loading.height, start.shortening / loading.height),
@@ -212,10 +250,16 @@ class Stage(Path):
             ),
             "time": (state.time, 0.0),
         }  # fmt: skip
+        return [tuple(each - limit for each in measured[name]) for name, limit in self.until.given().items()]
+
+    def watch(self, seen, state):
+        """A number: 0 goes on, 1 is done, more than that see ENDED."""
+        loading = state.loading
+        memory, start = loading.memory, loading.memory.start
+        axial, lateral = seen.stress_ratio * seen.lateral_stress, seen.lateral_stress
         done = jnp.zeros((), bool)
-        for name, limit in self.until.given().items():
-            value, first = measured[name]
-            done |= jnp.isfinite(value) & ((value - limit) * (first - limit) <= 0)
+        for now, first in self._beyond(seen, state):
+            done |= jnp.isfinite(now) & (now * first <= 0)
         led = [self.platens.finished(memory.platens), self.membrane.finished(memory.membrane)]
         led = [each for each in led if each is not None]
         if led:

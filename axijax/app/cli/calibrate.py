@@ -1,6 +1,7 @@
 """The command calibrate, and how options of its kind are read. Heavy imports happen inside the command."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -48,6 +49,14 @@ def calibrate(
         str | None,
         typer.Option(rich_help_panel=READING, show_default=False, help="Where no column holds it: '200 kPa'."),
     ] = None,
+    unloading: Annotated[
+        bool,
+        typer.Option(
+            "--unloading",
+            rich_help_panel=READING,
+            help="The strain turns back: keep unloading branches. A case without stages turns where the data do.",
+        ),
+    ] = False,
     uncertainty: Annotated[
         Many,
         typer.Option(
@@ -146,9 +155,14 @@ def calibrate(
     loaded = Case() if case is None else load_case(case)
     curve = read_measured(
         data, pairs("--column", column), test=test, height=height, void_ratio=void_ratio,
-        confining_stress=confining_stress, **_uncertainties(uncertainty),
+        confining_stress=confining_stress, unloading=unloading, **_uncertainties(uncertainty),
     )  # fmt: skip
     if loaded.specimen.kind == "random":
+        if curve.places is not None:
+            raise ValueError(
+                "--unloading: fits on random packings compare the first loading only; leave it out and drop the "
+                "unloading branches, or fit a lattice."
+            )
         from axijax.app.cli.study import fit_file
 
         if start:
@@ -162,6 +176,8 @@ def calibrate(
         raise ValueError(f"--{(idle or ['packings'])[0]}: would do nothing on a lattice; leave it out.")
     _before_packing(loaded, curve, fit, given)
     built = loaded.build()  # no random specimen, which would take its time
+    if curve.places is not None and not built.stages:
+        built = replace(built, stages=curve.stages())
     folder = writable_folder(output)
     with locked(folder), filling(folder, "run it again, and what is in evaluations.jsonl is not computed again"):
         found = calibrate_file(
@@ -179,7 +195,8 @@ def _before_packing(case, curve: "MeasuredCurve", names: str, given: dict[str, A
     from calibrate.file import check_reach
 
     ParameterSet.of(build_params(case.scene, case.parameters), names, given["bounds"])
-    check_reach(curve, case.test.axial_strain)
+    if curve.places is None and not case.stage:
+        check_reach(curve, case.test.axial_strain)
 
 
 def pairs(option: str, texts: Sequence[str] | None) -> dict[str, str]:

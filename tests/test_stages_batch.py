@@ -1,0 +1,105 @@
+"""Tests in stages: many at once, in float32, and by reverse mode."""
+
+import csv
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_in_process import axijax as command
+from stages_reverse_mode import TEST
+
+from axijax.app.executors import open_executor
+from axijax.batch import Member, open_batch, parameter_grid, run_batch
+from axijax.triaxial.records import records_of
+from axijax.triaxial.stage_types import stage
+
+FRICTIONS = [0.1, 0.3]
+UNABLE = Member(
+    "unable",
+    replace(TEST, stages=(stage("anisotropic", lateral_stress=6e4, k=0.02),)),
+    replace(TEST.params, friction=0.05),
+)
+
+
+@pytest.fixture(scope="module")
+def batch(tmp_path_factory):
+    """Two members and one that cannot follow its stage, in threads."""
+    folder = tmp_path_factory.mktemp("batch")
+    return folder, run_batch([*parameter_grid(TEST, friction=FRICTIONS), UNABLE], folder)
+
+
+def test_a_stage_that_cannot_be_followed_is_told_and_no_failure(batch):
+    folder, result = batch
+    assert not result.failures and list(result.ended) == ["unable"]
+    assert "stage 1 of 1" in result.ended["unable"] and "outside its strength" in result.ended["unable"]
+    with open(folder / "summary.csv", newline="") as file:
+        told = {row["member"]: row["ended"] for row in csv.DictReader(file)}
+    assert told == {"friction=0.1": "", "friction=0.3": "", "unable": result.ended["unable"]}
+    again = run_batch([UNABLE], folder)
+    assert again.ended == result.ended and again.outcomes[0].resumed
+    curves = open_batch(folder)
+    assert set(np.unique(curves.stage.sel(member="friction=0.1").dropna("record"))) == {1.0, 2.0}
+
+
+@pytest.mark.slow
+def test_all_at_once_are_the_same_records(batch):
+    """By vmap: what repeats after the end of a stage is left out."""
+    many = run_batch(parameter_grid(TEST, friction=FRICTIONS), strategy="vmap")
+    assert not many.failures
+    for name, curve in many.curves.items():
+        alone = batch[1].curves[name]
+        for field in records_of(curve):
+            np.testing.assert_allclose(
+                getattr(curve, field), getattr(alone, field), rtol=1e-7, atol=1e-7, err_msg=f"{name} {field}"
+            )
+
+
+@pytest.mark.slow
+def test_in_another_process_to_the_last_bit(batch):
+    with open_executor("processes:1") as pool:
+        away = run_batch(parameter_grid(TEST, friction=FRICTIONS[:1]), executor=pool)
+    ((name, curve),) = away.curves.items()
+    for field in records_of(curve):
+        np.testing.assert_array_equal(getattr(curve, field), getattr(batch[1].curves[name], field), err_msg=field)
+
+
+def test_from_a_sweep_file(tmp_path):
+    """Stages of a case file, swept over a friction."""
+    sweep = tmp_path / "sweep.toml"
+    sweep.write_text(
+        "[specimen]\nlayers = 3\nhalf_width = 3\n[test]\ntolerance = 1e-4\nrecord_every = 20\n"
+        "[parameters]\nplaten_speed = 0.05\n"
+        '[[stage]]\ntype = "compression"\naxial_strain = 4e-4\n'
+        '[[stage]]\ntype = "extension"\ndeviator_stress = 0.0\naxial_strain = -1e-3\n'
+        "[sweep]\nparameters.friction = [0.1, 0.3]\n"
+    )
+    done = command("batch", sweep, "--output", tmp_path / "out")
+    assert done.code == 0, done.err
+    curves = open_batch(tmp_path / "out")
+    assert curves.sizes["member"] == 2 and float(curves.stage.max()) == 2
+
+
+@pytest.mark.slow
+def test_float32_follows_the_same_stages():
+    """To a share of the confining stress that single precision leaves."""
+    run = replace(TEST, dtype=np.float32, tolerance=1e-3).run()
+    single, double = run.curve, TEST.run().curve
+    assert run.state.displacement.x.dtype == np.float32
+    for number in (1, 2):
+        last = [np.flatnonzero(curve.stage == number)[-1] for curve in (single, double)]
+        for field, most in (("axial_strain", 2e-6), ("stress_ratio", 5e-3), ("volumetric_strain", 5e-6)):
+            one, other = (getattr(curve, field)[at] for curve, at in zip((single, double), last, strict=True))
+            assert abs(one - other) < most, (number, field)
+
+
+@pytest.mark.slow
+def test_reverse_mode_is_the_tangent_along_a_path():
+    """In a process of its own, without the fast kernels, with which it would be refused."""
+    script = Path(__file__).with_name("stages_reverse_mode.py")
+    environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+    done = subprocess.run([sys.executable, script], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-2000:]
