@@ -17,11 +17,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from axijax.core.gather import taken
 from axijax.core.images import directed_pairs
 from axijax.core.sector import Sector, radial_distance
 from axijax.core.shown import shown
 from axijax.core.status import FULL_LIST
-from axijax.core.gather import taken
 from axijax.core.vector import Vector, from_rows
 from axijax.mechanics import contact_sums
 from axijax.specimen.specimen import Specimen
@@ -124,7 +124,7 @@ class ContactList:
         return contact_sums.at_ends(self, (numbers,))
 
     def apart(self, vectors: Vector) -> Vector:
-        """Vectors of the balls (N,) at the contacts' first balls less those at the second, seen from the first; (C,)."""
+        """Vectors of the balls (N,) at the contacts' first balls less those at the second, as turned; (C,)."""
         first, second = self.at_ends(vectors)
         return first - second
 

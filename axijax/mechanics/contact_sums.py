@@ -42,7 +42,7 @@ def on_balls(network: "ContactList", vectors: Vector, reaction: float) -> list[j
 
 
 def _axial(network: "ContactList") -> jax.Array:
-    """Contacts of a ball off the axis with one on it, which has them in as many slots as there are images; (C,) bool."""
+    """Contacts of a ball off the axis with one on it, which are in a slot of that one for each image; (C,) bool."""
     on_axis = network.free.x == 0
     first, second = (on_axis.at[ball].get(mode="promise_in_bounds") for ball in (network.first, network.second))
     return second & ~first

@@ -101,7 +101,7 @@ def tighten(network: ContactList, displacement: Vector, allowed: jax.Array) -> T
     there = found_at.at[network.slot].get(mode="promise_in_bounds")
     rows = jnp.arange(width, dtype=jnp.int32)[:, None]
 
-    def taken(carry, row):
+    def next_row(carry, row):
         """Which of a ball's slots comes to each row of the tight table, and how many there are so far."""
         chosen, number = carry
         slot, filled = row
@@ -109,7 +109,7 @@ def tighten(network: ContactList, displacement: Vector, allowed: jax.Array) -> T
 
     start = jnp.full((width, balls), -1, jnp.int32), jnp.zeros(balls, jnp.int32)
     slots = jnp.arange(network.slot.shape[0], dtype=jnp.int32)
-    (chosen, number), _ = jax.lax.scan(taken, start, (slots, there < length - 1))
+    (chosen, number), _ = jax.lax.scan(next_row, start, (slots, there < length - 1))
     there_is = chosen >= 0
     chosen = jnp.maximum(chosen, 0) * balls + jnp.arange(balls, dtype=jnp.int32)
 

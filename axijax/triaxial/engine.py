@@ -208,16 +208,20 @@ def march_until(
             on = (due == 0) & path.going(watched, steps)
             loading = jax.tree.map(partial(jnp.where, on), path.recorded(found, state), state.loading)
             state = state._replace(loading=loading)
-        return Stretch(
-            state=state,
-            seen=seen,
-            records=now.records + recorded,
-            due=jnp.where(recorded, record_every, due),
-            steps=steps,
-            watched=watched,
-            status=now.status | status,
-            worn=wear(network, state, load) > 1,
-        ), load, tight
+        return (
+            Stretch(
+                state=state,
+                seen=seen,
+                records=now.records + recorded,
+                due=jnp.where(recorded, record_every, due),
+                steps=steps,
+                watched=watched,
+                status=now.status | status,
+                worn=wear(network, state, load) > 1,
+            ),
+            load,
+            tight,
+        )
 
     load = current_load(membrane, network, state, fixed)
     tight = tight_list(network, state, dt, record_every) if tightly else None

@@ -175,9 +175,9 @@ def _same(_, values):
 
 def _refuse(_, cotangents):
     raise ValueError(
-        "reverse mode (jax.grad, jax.vjp) ends where confinement begins, whose number of steps is not known beforehand: "
-        "it is for what confinement does not depend on, as friction; take the derivative by a stiffness, the density, "
-        "the damping or the confining stress by jax.jvp or jax.jacfwd."
+        "reverse mode (jax.grad, jax.vjp) ends at confinement, which takes as many steps as it needs: it is for what "
+        "confinement does not depend on, as friction; for a stiffness, the density, the damping or the confining "
+        "stress take jax.jvp or jax.jacfwd."
     )
 
 
