@@ -101,7 +101,7 @@ def test_lists_that_change():
     specimen = random_balls(4, 0)
     network = contact_list(Sector(4), 0.6, 2.0, ANY_OVERLAP).allocate(specimen)
     network = replace(network, tight=Room(2000, 200))
-    springs, shift = random_like(network.branch), random_like(network.positions).map(lambda part: 0.02 * part)
+    springs, shift = random_like(network.branch), random_like(network.positions).map(lambda part: 0.1 * part)
     shift = Vector(shift.x * network.free.x, shift.y * network.free.y, shift.z)
     new = jit(update)(shift, network)
     pairs = lambda values: carry(network, new, values)  # noqa: E731
@@ -134,6 +134,13 @@ def test_lists_that_change():
     inside = np.asarray(tight.place) < network.first.size - 1
     check(lambda v: Vector(*taken(tuple(v), tight.place, tight.found_at, tight.found_at < 1999)),
           lambda v: v.map(lambda part: part[tight.place]), springs, inside)  # fmt: skip
+
+
+def test_a_table_with_a_tangent_of_its_own():
+    network, values = dense_list(4), random_like(dense_list(4).branch)
+    sums = lambda side: replace(network, side=side).sum_on_balls(values, reaction=-1).z.sum()  # noqa: E731
+    slope = jit(jax.grad(sums))(network.side)
+    np.testing.assert_allclose(slope, values.z[network.slot], rtol=1e-14)
 
 
 def test_any_index():

@@ -8,6 +8,7 @@ which jvp, vmap, jit and scan see nothing new.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +24,8 @@ def linear(function: Linear, transpose: Linear, fixed: Arrays, values: Arrays) -
 
     function: linear in the values; transpose: takes what has the shapes of its results to the shapes of the values, and
         must be its exact transpose. Both are known by name, so define them once, in a module.
-    fixed: arrays that neither is differentiated by, as indices and tables; without tangents.
+    fixed: arrays that they are not linear in, as indices and tables; where one of these has a tangent, it and the rest
+        are differentiated as JAX does it.
     """
     return _linear.bind(*fixed, *values, function=function, transpose=transpose, number=len(fixed))
 
@@ -34,8 +36,9 @@ def _apply(*arrays, function, transpose, number):
 
 def _forward(primals, tangents, *, number, **functions):
     fixed, moving = primals[:number], tangents[number:]
-    known = [isinstance(each, ad.Zero) or each.dtype == jax.dtypes.float0 for each in tangents[:number]]
-    assert all(known), "a table of a linear function has a tangent"
+    if not all(isinstance(each, ad.Zero) or each.dtype == jax.dtypes.float0 for each in tangents[:number]):
+        plain = partial(_apply, number=number, **functions)
+        return jax.jvp(plain, primals, [ad.instantiate_zeros(each) for each in tangents])
     results = _linear.bind(*primals, number=number, **functions)
     return results, _linear.bind(*fixed, *map(ad.instantiate_zeros, moving), number=number, **functions)
 
