@@ -38,7 +38,7 @@ def _forward(primals, tangents, *, number, **functions):
     fixed, moving = primals[:number], tangents[number:]
     if not all(isinstance(each, ad.Zero) or each.dtype == jax.dtypes.float0 for each in tangents[:number]):
         plain = partial(_apply, number=number, **functions)
-        return jax.jvp(plain, primals, [ad.instantiate_zeros(each) for each in tangents])
+        return jax.jvp(plain, tuple(primals), tuple(map(ad.instantiate_zeros, tangents)))
     results = _linear.bind(*primals, number=number, **functions)
     return results, _linear.bind(*fixed, *map(ad.instantiate_zeros, moving), number=number, **functions)
 

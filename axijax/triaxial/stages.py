@@ -162,11 +162,8 @@ def _end_of_reverse_mode(tree):
 
     The friction of the shear is no matter of confinement, and forward mode passes it.
     """
-    leaves, structure = jax.tree.flatten(tree)
-    moving = [place for place, leaf in enumerate(leaves) if jnp.issubdtype(leaf.dtype, jnp.floating)]
-    for place, leaf in zip(moving, linear(_same, _refuse, (), [leaves[place] for place in moving]), strict=True):
-        leaves[place] = leaf
-    return structure.unflatten(leaves)
+    # One by one, so that what has no tangent is not given one of zeros.
+    return jax.tree.map(lambda leaf: linear(_same, _refuse, (), [leaf])[0], tree)
 
 
 def _same(_, values):
