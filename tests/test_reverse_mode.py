@@ -22,10 +22,11 @@ WINDOW = WindowMean(0.0005, 0.0015)
 def uneven() -> Specimen:
     """The same with balls of unequal size and a little off their places, and said to be random; still the same after a
     quarter turn, with balls on the axis."""
-    rho, z = np.hypot(*SMALL.positions[:2]), SMALL.positions[2]
-    radius = SMALL.radius * (0.99 - 0.01 * np.sin(rho + 3 * z))
-    places = SMALL.positions + SMALL.radius * 0.004 * np.sin(2 * rho + z)
-    places[:2] = SMALL.positions[:2] * (1 + 0.002 * np.cos(rho + z))
+    rho, z = np.hypot(*SMALL.positions[:2]) / SMALL.radius[0], SMALL.positions[2] / SMALL.radius[0]
+    radius = SMALL.radius * (0.999 - 0.001 * np.sin(rho + 3 * z))
+    places = SMALL.positions * np.array([[1], [1], [0]]) * (1 + 2e-4 * np.cos(rho + z))
+    inside = np.abs(z - z.mean()) < np.ptp(z) / 2 - 0.1
+    places[2] = SMALL.positions[2] + SMALL.radius * 4e-4 * np.sin(2 * rho + z) * inside
     return Specimen(places, radius, SMALL.bottom, SMALL.top, SMALL.membrane_zone, zone_rule="exposure")
 
 
