@@ -115,11 +115,8 @@ def fit_friction_per_ball(
 
     targets: Datum and MeasuredCurve objects. prior: of each ball's friction, which a curve alone cannot tell apart; its
     part of the loss is the mean over the balls. Each step costs four to six runs. Raises ValueError for targets beyond
-    the run, RunFailed where the run at the prior fails, RuntimeError in a process with the fast CPU kernels.
+    the run, RunFailed where the run at the prior fails.
     """
-    from calibrate.reverse import refuse_fast_kernels
-
-    refuse_fast_kernels("fit_friction_per_ball")
     targets = list(targets) if isinstance(targets, list | tuple) else [targets]
     model = Model(test, ParameterSet.of(replace(test.params, friction=prior.value), "friction"))
     evaluator = Evaluator(model, targets)

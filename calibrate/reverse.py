@@ -1,7 +1,7 @@
 """Reverse mode: one target, many parameters. A friction for each ball gives a map of which balls carry the peak.
 
 A test keeps only its state at each record and runs each block of steps again on the way back, so the memory is tens of
-megabytes. Reverse mode and the fast CPU kernels exclude each other (see axijax.core.platform).
+megabytes.
 """
 
 from dataclasses import dataclass, replace
@@ -12,17 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from axijax.core.files import write_whole
-from axijax.core.platform import fast_cpu_kernels_are_on
 from axijax.core.status import described
-
-
-def refuse_fast_kernels(what: str) -> None:
-    """Raise RuntimeError where this process uses the fast CPU kernels, with which reverse mode would end it."""
-    if fast_cpu_kernels_are_on():
-        raise RuntimeError(
-            f"{what} needs reverse mode, which would end this process: it uses XLA's fast CPU kernels "
-            "(axijax.fast_cpu_kernels, or XLA_FLAGS); call it in a process without them."
-        )
 
 
 @dataclass(frozen=True)
@@ -83,12 +73,10 @@ def friction_map(test, functional, friction=None) -> FrictionMap:
     test: a TriaxialTest; functional: curve -> number; friction: a number or (N,), by default the test's own.
     Costs about four to six runs and one state for each record, whatever N.
 
-    Raises ValueError for a friction of the wrong shape or sign, RunFailed for a run that is not sound, RuntimeError in
-    a process with the fast CPU kernels.
+    Raises ValueError for a friction of the wrong shape or sign, RunFailed for a run that is not sound.
     """
     from calibrate.model import RunFailed
 
-    refuse_fast_kernels("friction_map")
     count = len(test.cut)
     given = np.asarray(test.params.friction if friction is None else friction, float)
     if given.shape not in ((), (count,)) or not (np.isfinite(given).all() and (given >= 0).all()):

@@ -14,6 +14,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from axijax.core.gather import gathered
+
 RATIOS = ("stress_ratio", "virial_ratio", "core_ratio")
 BEFORE_END = 0.05  # share of a run's strain, at its end, in which a maximum is no peak: it may still rise
 WINDOW_POINTS = 201  # of the trapezoidal mean over a window
@@ -94,7 +96,13 @@ def _at(curve, strain, field: str):
     strains = jnp.asarray(curve.axial_strain)
     # The first record is taken at strain zero to rounding; a hair below it is still the start.
     strain = jnp.where(jnp.abs(strain) < 1e-12, strains[0], strain)
-    return jnp.interp(strain, strains, jnp.asarray(getattr(curve, field)), left=jnp.nan, right=jnp.nan)
+    values = jnp.asarray(getattr(curve, field), strains.dtype)
+    after = jnp.clip(jnp.searchsorted(strains, strain, side="right"), 1, strains.size - 1)
+    # As jnp.interp, whose reverse mode scatters.
+    (low, high), (before, behind) = gathered((strains, values), jnp.stack([after - 1, after]))
+    apart = jnp.where(high > low, high - low, 1.0)
+    met = jnp.where(high > low, before + (strain - low) / apart * (behind - before), before)
+    return jnp.where((strain < strains[0]) | (strain > strains[-1]), jnp.nan, met)
 
 
 @dataclass(frozen=True)

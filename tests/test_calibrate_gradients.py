@@ -1,10 +1,6 @@
 """Tangents against differences and formulas, and the verdict on their health."""
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import jax
@@ -19,12 +15,10 @@ from axijax.mechanics.lattice_load import lattice_load
 from axijax.mechanics.walls import wall_force
 from axijax.specimen.specimen import fcc_octagon
 from axijax.triaxial.test import TriaxialTest
-from calibrate.descent import fit_friction_per_ball
 from calibrate.evaluate import Evaluator
 from calibrate.gradients import gradient
 from calibrate.model import Model, RunFailed, jacobian_of, stretch_tangent
-from calibrate.parameters import ParameterSet, Prior
-from calibrate.reverse import friction_map
+from calibrate.parameters import ParameterSet
 from calibrate.targets import Datum, HardPeak, InitialSlope, StrainAtPeak, WindowMean
 
 SETTINGS = Params(damping_ratio=0.2, platen_speed=0.02)
@@ -178,23 +172,6 @@ def test_a_tangent_misses_the_jump_of_a_dashpot_that_closes(damping):
     exact = np.array([-speed, -force])
     missed = 2 * damping * decay * np.array([sin, cos - damping * sin])
     assert tangent == pytest.approx(exact + missed, abs=5e-3)
-
-
-def test_reverse_mode_is_refused_with_the_fast_kernels():
-    """These tests run with the fast kernels (conftest), with which reverse mode would end the process."""
-    with pytest.raises(RuntimeError, match=r"friction_map needs reverse mode, .* in a process without them"):
-        friction_map(StandIn(), WindowMean())
-    with pytest.raises(RuntimeError, match="fit_friction_per_ball needs reverse mode"):
-        fit_friction_per_ball(StandIn(), Datum(HardPeak(), 2.3, 0.02), Prior(0.1, 0.5))
-
-
-@pytest.mark.slow
-def test_reverse_mode_in_a_process_of_its_own(tmp_path):
-    """The map of sensitivities adds up to the tangent, and a friction of every ball moves towards the data."""
-    script = Path(__file__).with_name("calibrate_reverse_mode.py")
-    plain = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
-    done = subprocess.run([sys.executable, script, tmp_path], env=plain, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
 
 
 PEAKS = {"window": WindowMean(0.0025, 0.004), "hard": HardPeak(), "strain": StrainAtPeak(), "slope": InitialSlope()}

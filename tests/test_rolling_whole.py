@@ -1,20 +1,16 @@
 """Rolling and torsional resistance in whole tests and in derivatives; closed forms of a pair are in test_rolling.py."""
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from few_balls import jit
-from rolling_reverse_mode import NUMBERS, energy
+from few_balls import SCENE, few_balls, jit, no_load, still, unit_params
 from test_energy import sheared
 
-from axijax import Hertz, Params, Rolling, Scene, Torsion, TriaxialTest, fcc_octagon
+from axijax import Dashpot, Hertz, Params, Rolling, Scene, Torsion, TriaxialTest, fcc_octagon
+from axijax.mechanics.dynamics import make_step
 from axijax.triaxial.checkpoint import load_progress
 from calibrate.parameters import ParameterSet
 
@@ -68,23 +64,32 @@ def test_tangents_of_a_whole_test_agree_with_differences(rolling):
         np.testing.assert_allclose(tangent, difference, rtol=0, atol=1e-3 * np.abs(difference).max())
 
 
-def test_tangents_of_a_few_balls_agree_with_differences():
-    """By eta, alpha, eta_tw and alpha_tw, of balls that roll on one another past the cap."""
+NUMBERS = jnp.array([0.05, 0.5, 0.05, 0.8])  # eta, alpha, eta_tw, alpha_tw
+
+
+def energy(numbers):
+    """Of the spins of four balls, a while after they were set spinning."""
+    eta, alpha, eta_tw, alpha_tw = numbers
+    height = (8 / 3) ** 0.5
+    place = 0.985 * np.array([[0, 2, 1, 1], [0, 0, 3**0.5, 3**-0.5], [0, 0, 0, height]])
+    velocity, spin = 1e-3 * np.random.default_rng(0).normal(size=(2, 3, 4))
+    params = unit_params(damping=Dashpot(0.1), rolling=Rolling(alpha, eta), torsion=Torsion(alpha_tw, eta_tw))
+    network, state = few_balls(params, place, velocity, 20 * spin)
+    step = make_step(SCENE, still)
+    load = no_load(network)
+    end = jax.lax.scan(lambda s, _: (step(params, network, load, 0.05, s), None), state, None, length=40)[0]
+    return 1e3 * end.spin.dot(end.spin).sum()
+
+
+def test_derivatives_of_a_few_balls_agree_with_differences():
+    """By eta, alpha, eta_tw and alpha_tw, of balls that roll on one another past the cap; in reverse mode too."""
     value = jit(energy)
     tangents = jit(jax.vmap(lambda way: jax.jvp(energy, (NUMBERS,), (way,))[1]))(jnp.eye(4))
     for tangent, h in zip(tangents, 1e-6 * jnp.eye(4), strict=True):
         difference = float(value(NUMBERS + h) - value(NUMBERS - h)) / 2e-6
         assert abs(difference) > 1e-4
         assert float(tangent) == pytest.approx(difference, rel=1e-3)
-
-
-@pytest.mark.slow
-def test_reverse_mode_agrees_with_the_tangents():
-    """In a process of its own, since the fast CPU kernels cannot take reverse mode."""
-    script = Path(__file__).with_name("rolling_reverse_mode.py")
-    plain = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
-    done = subprocess.run([sys.executable, script], env=plain, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
+    np.testing.assert_allclose(np.asarray(jit(jax.grad(energy))(NUMBERS)), np.asarray(tangents), rtol=1e-9)
 
 
 @pytest.mark.slow

@@ -16,6 +16,9 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 FUSION_OPTION = "xla_cpu_use_multi_output_fusion"
+# For `jax.jit(..., compiler_options=...)`: compiled as if the fast kernels were off. (There is no option for a single
+# program that switches them on: XLA refuses `xla_backend_extra_options` there, in jax 0.10.)
+PLAIN_CPU_KERNELS = {"xla_disable_hlo_passes": "cpu_multi_output_fusion"}
 CACHE_VARIABLE = "AXIJAX_CACHE"
 CACHE_BYTES = 512 * 2**20  # a test's programs take a third of a megabyte; the oldest go where there is more than this
 CHECKED = ".checked"  # a file as old as the last look for damaged programs
@@ -26,9 +29,10 @@ def fast_cpu_kernels() -> bool:
     """Let XLA's CPU compiler make all results of a contact in one loop: four to five times as many ball-steps a second.
 
     Call it before the first JAX computation of the process; returns whether it took effect. The command line calls it
-    by itself. It acts on every program of the process, and in the XLA of jax 0.10 it has a defect that ends the
-    process: reverse mode (`jax.grad`, `jax.vjp`) through a scan that gathers by index, which a test is. Forward mode
-    is right and fast. Leave it out in a process that needs reverse mode.
+    by itself. It acts on every program of the process, and in the XLA of jax 0.10 it has a defect: a program that adds
+    into one-dimensional arrays by index (two `jax.ops.segment_sum`, or `jax.grad` through `x[index]`) may end the
+    process while it is compiled. Nothing of this package does that, in reverse mode neither. A program of your own that
+    does is compiled without it by `jax.jit(f, compiler_options=axijax.PLAIN_CPU_KERNELS)`.
     """
     from jax._src import xla_bridge
 
@@ -41,9 +45,20 @@ def fast_cpu_kernels() -> bool:
     return True
 
 
-def fast_cpu_kernels_are_on() -> bool:
-    """Whether this process was told to use the fast kernels, so that reverse mode would end it."""
-    return FUSION_OPTION in os.environ.get("XLA_FLAGS", "")
+def warn_where_slow() -> None:
+    """Warn, once a process, that it steps a specimen on a CPU without the fast kernels."""
+    global _warned_of_slowness
+    if _warned_of_slowness or FUSION_OPTION in os.environ.get("XLA_FLAGS", "") or jax.default_backend() != "cpu":
+        return
+    _warned_of_slowness = True
+    warnings.warn(
+        "this process steps a specimen four to ten times slower than it could: call axijax.fast_cpu_kernels() before "
+        "its first JAX computation.",
+        stacklevel=2,
+    )
+
+
+_warned_of_slowness = False
 
 
 def use_compilation_cache(path: Path | str | None = None) -> Path | None:

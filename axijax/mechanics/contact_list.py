@@ -17,11 +17,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from axijax.core.gather import taken
 from axijax.core.images import directed_pairs
 from axijax.core.sector import Sector, radial_distance
 from axijax.core.shown import shown
 from axijax.core.status import FULL_LIST
 from axijax.core.vector import Vector, from_rows
+from axijax.mechanics import contact_sums
 from axijax.specimen.specimen import Specimen
 
 if TYPE_CHECKING:
@@ -111,25 +113,29 @@ class ContactList:
         first, second = (self.radius.at[i].get(mode="promise_in_bounds") for i in (self.first, self.second))
         return first, second
 
-    def of_first(self, vectors: Vector) -> Vector:
-        """Vectors of the balls (N,) at the contacts' first balls; (C,)."""
-        return vectors.at(self.first)
+    def at_ends(self, vectors: Vector) -> tuple[Vector, Vector]:
+        """Vectors of the balls (N,) at the contacts' first balls, and at their second, turned to their image; (C,)."""
+        found = contact_sums.at_ends(self, tuple(vectors))
+        first, second = Vector(*found[:3]), Vector(*found[3:])
+        return first, second if self.sector.images == 1 else second.turned(self.cos, self.sin)
 
-    def of_second(self, vectors: Vector) -> Vector:
-        """Vectors of the balls (N,) at the contacts' second balls, turned to their image; (C,)."""
-        there = vectors.at(self.second)
-        return there if self.sector.images == 1 else there.turned(self.cos, self.sin)
+    def numbers_at_ends(self, numbers: jax.Array) -> list[jax.Array]:
+        """Numbers of the balls (N,) at the contacts' first and second balls; (C,) each."""
+        return contact_sums.at_ends(self, (numbers,))
+
+    def apart(self, vectors: Vector) -> Vector:
+        """Vectors of the balls (N,) at the contacts' first balls less those at the second, as turned; (C,)."""
+        first, second = self.at_ends(vectors)
+        return first - second
+
+    def together(self, vectors: Vector) -> Vector:
+        """The sum of the two in place of their difference."""
+        first, second = self.at_ends(vectors)
+        return first + second
 
     def sum_on_balls(self, vectors: Vector, *, reaction: float) -> Vector:
         """Sum of the contacts' vectors (C,) on each ball (N,), times `reaction` (-1 or 1) on the second ball."""
-        there = vectors.at(self.slot)
-        factor = self.side if reaction < 0 else jnp.abs(self.side)
-        if self.sector.images == 1:
-            there = there * factor
-        else:
-            cos, sin = factor * self.slot_cos, factor * self.slot_sin
-            there = Vector(cos * there.x - sin * there.y, sin * there.x + cos * there.y, factor * there.z)
-        return there.map(lambda component: component.sum(axis=0))
+        return Vector(*contact_sums.on_balls(self, vectors, reaction))
 
 
 def build_contact_list(
@@ -298,7 +304,9 @@ def carry(old: ContactList, new: ContactList, values: Any) -> Any:
     """What belongs to the old list's contacts, a pytree of (C,) arrays, at each contact's place in the new list; zero
     for contacts that the old list does not hold."""
     place, known = places_in(old, new)
-    return jax.tree.map(lambda part: jnp.where(known, part[place], jnp.zeros((), part.dtype)), values)
+    parts, structure = jax.tree.flatten(values)
+    found = taken(parts, place, *places_in(new, old))
+    return structure.unflatten([jnp.where(known, part, jnp.zeros((), part.dtype)) for part in found])
 
 
 def carry_memory(old: ContactList, new: ContactList, memory: tuple["Memory", ...]) -> tuple["Memory", ...]:

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import QhullError
 
+from axijax.core.gather import taken
 from axijax.core.sector import Sector
 from axijax.core.status import FULL_LIST, NOT_FINITE, STALE_CELLS, STALE_LIST
 from axijax.core.vector import Vector, zeros
@@ -94,18 +95,21 @@ def update(displacement: Vector, network: ContactList) -> ContactList:
     cosine, sine = _turns(network)
     cos, sin = cosine[turn], sine[turn]
     far = 1e3 * network.radius.max()
-    fresh = positions.at(first) - positions.at(second).turned(cos, sin)
+    slot, side, turned = tables
+    there = {"first": first, "second": second, "image": image, "cos": cos, "sin": sin, "slot": slot, "side": side}
+    new = replace(network, **there, slot_cos=cosine[turned], slot_sin=sine[turned])
+    fresh = new.apart(positions)
     fresh = Vector(jnp.where(listed, fresh.x, far), fresh.y * listed, fresh.z * listed)
-    branch = Vector(*(jnp.where(known, a, b) for a, b in zip(moved.branch.at(place), fresh, strict=True)))
+    *kept, deep = taken([*moved.branch, moved.overlap], place, *places_in(new, network))
+    branch = Vector(*(jnp.where(known, a, b) for a, b in zip(kept, fresh, strict=True)))
     distance = jnp.sqrt(branch.dot(branch))
     radii = network.radius[first], network.radius[second]
-    overlap = jnp.where(known, moved.overlap[place], radii[0] + radii[1] - distance)
+    overlap = jnp.where(known, deep, radii[0] + radii[1] - distance)
     overlap = jnp.where(listed, overlap, 2 * network.radius.max() - far)
 
     on_axis = network.free.x == 0
     alone = (first == second) & ((2 * image) % network.sector.order == 0)
     weight = jnp.where(on_axis[first] & on_axis[second], network.weight[first], 1.0) * jnp.where(alone, 0.5, 1.0)
-    slot, side, turned = tables
     pair_cube = network.pair_cube
     if pair_cube.ndim:
         a, b = radii[0] ** 3, radii[1] ** 3
@@ -114,21 +118,12 @@ def update(displacement: Vector, network: ContactList) -> ContactList:
     bits |= jnp.where(closing(network, displacement) > network.skin, STALE_LIST, 0)
     bits |= jnp.where(jnp.isfinite(jnp.asarray(tuple(positions))).all(), 0, NOT_FINITE)
     return replace(
-        network,
-        first=first,
-        second=second,
-        image=image,
-        cos=cos,
-        sin=sin,
+        new,
         branch=branch,
         distance=distance,
         overlap=overlap,
         pair_cube=pair_cube,
         share=jnp.where(listed, weight, 0.0).astype(network.dtype),
-        slot=slot,
-        side=side,
-        slot_cos=cosine[turned],
-        slot_sin=sine[turned],
         positions=positions,
         status=network.status | bits,
     )

@@ -88,7 +88,7 @@ class Geometry(NamedTuple):
 
 def geometry(network: ContactList, displacement: Vector) -> Geometry:
     """Branch vectors and overlaps after the balls' displacement (N,) from the reference positions."""
-    change = network.of_first(displacement) - network.of_second(displacement)
+    change = network.apart(displacement)
     branch = network.branch + change
     distance = jnp.sqrt(branch.dot(branch))
     longer = (2 * network.branch.dot(change) + change.dot(change)) / (distance + network.distance)
@@ -108,12 +108,12 @@ def contact_forces(
         frictionless = law.at(place, None, dt)
         if frictionless.normal_viscosity is None:
             return ContactForces(elastic_force(frictionless, place), None, None)
-    approach = network.of_first(velocity) - network.of_second(velocity)
+    approach = network.apart(velocity)
     if spring is None:
         return ContactForces(frictionless_force(frictionless, place, approach), None, None)
     surface_velocity = None
     if surface_speed is not None:
-        surface_velocity = network.of_first(surface_speed) + network.of_second(surface_speed)
+        surface_velocity = network.together(surface_speed)
     return ContactForces(*frictional_law(law.at(place, approach, dt), dt, place, approach, surface_velocity, spring))
 
 
@@ -279,10 +279,9 @@ def relative_motion(network: ContactList, displacement: Vector, velocity: Vector
     """Normals of the contacts, and the velocity of the first ball's surface against the second's; (C,) vectors."""
     place = geometry(network, displacement)
     normal = place.branch * (1 / jnp.sqrt(place.branch.dot(place.branch)))
-    relative = network.of_first(velocity) - network.of_second(velocity)
+    relative = network.apart(velocity)
     if spin is not None:
-        surface = spin * network.radius
-        surface_velocity = network.of_first(surface) + network.of_second(surface)
+        surface_velocity = network.together(spin * network.radius)
         relative = relative - surface_velocity.cross(place.branch) * place.per_reach
     return normal, relative
 

@@ -82,7 +82,8 @@ class Material:
         friction: Any = self.friction
         if jnp.ndim(friction) == 0:
             return friction
-        return 0.5 * (friction[network.first] + friction[network.second])
+        first, second = network.numbers_at_ends(friction)
+        return 0.5 * (first + second)
 
     def contact_law(self, network: "ContactList") -> "ContactLaw":
         """The law of the contacts of balls."""

@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import Delaunay
 
+from axijax.core.gather import added, gathered
 from axijax.core.sector import Sector, radial_distance
 from axijax.core.shown import shown
 from axijax.core.vector import Vector, from_rows
@@ -267,9 +268,14 @@ def _within_surface(rho, radius, corners):
     return within if within.any() else np.ones_like(within)
 
 
+def in_zone(membrane: Membrane, positions: Vector) -> Vector:
+    """Vectors of the balls (N,) at those of the zone; (Z,)."""
+    return Vector(*gathered(tuple(positions), membrane.zone))
+
+
 def membrane_radius(membrane: Membrane, positions: Vector) -> jax.Array:
     """Radius Rm of the cylinder through the middle of the zone [L]; positions: (N,) vectors."""
-    rho = radial_distance(positions.at(membrane.zone))
+    rho = radial_distance(in_zone(membrane, positions))
     if membrane.zone_rule == "exposure":
         return jnp.where(membrane.counted, rho, 0.0).sum() / membrane.counted.sum()
     least = jnp.where(membrane.counted, rho, jnp.inf).min()
@@ -303,10 +309,10 @@ def _cells(membrane: Membrane, positions: Vector, bottom, top) -> tuple[jax.Arra
     radius = membrane_radius(membrane, positions)
     place = _corner_places(membrane, positions, bottom, top, radius)
     kite, corner_area = _kites(membrane, place)
-    area = jnp.zeros(membrane.zone.size, place.dtype).at[membrane.corner].add(corner_area)
-    area = jnp.zeros(positions.x.size, place.dtype).at[membrane.zone].add(area * membrane.share)
+    area = added(corner_area, membrane.corner, membrane.zone.size, radius)
+    area = added(area * membrane.share, membrane.zone, positions.x.size, radius)
 
-    across = jnp.zeros(membrane.edge.size, place.dtype).at[membrane.edge].add(kite)
+    across = added(kite, membrane.edge, membrane.edge.size, radius)
     wrong = jnp.where(membrane.edge_inside, jnp.maximum(-across, 0.0), 0.0).sum()
     return area, wrong / (membrane.sector_angle * radius * (top - bottom))
 
@@ -401,11 +407,12 @@ def membrane_force(stress, areas: jax.Array, positions: Vector) -> Vector:
 
 
 def _corner_places(membrane, positions, bottom, top, radius):
-    x, y, z = positions.at(membrane.zone)
+    x, y, z = in_zone(membrane, positions)
     cos, sin = membrane.direction
     theta = membrane.angle + jnp.arctan2(cos * y - sin * x, cos * x + sin * y)  # no jump at theta = 2*pi
-    across = membrane.turn_sign * theta[membrane.corner] + membrane.turn_shift
-    height = membrane.flip_sign * z[membrane.corner] + membrane.flip_bottom * bottom + membrane.flip_top * top
+    theta, z = gathered((theta, z), membrane.corner)
+    across = membrane.turn_sign * theta + membrane.turn_shift
+    height = membrane.flip_sign * z + membrane.flip_bottom * bottom + membrane.flip_top * top
     return jnp.stack([radius * across, height])
 
 

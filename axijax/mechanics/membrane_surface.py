@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.polynomial import legendre
 
+from axijax.core.gather import added, gathered
 from axijax.core.sector import radial_distance
 from axijax.core.vector import Vector
 
@@ -95,22 +96,21 @@ LEGENDRE = np.stack([np.pad(legendre.leg2poly([0] * n + [1]), (0, DEGREE - n)) f
 
 
 def fitted_profile(membrane: "Membrane", positions: Vector, corner_areas: jax.Array, radius, bottom, top) -> Profile:
-    """The surface of a zone at these positions. corner_areas: (3, T) parts of the cells; radius: Rm.
-
-    Sums run over the triangles' corners: a gather from the cells' areas, which a scatter makes, ends the process in
-    forward mode under `fast_cpu_kernels`.
-    """
+    """The surface of a zone at these positions. corner_areas: (3, T) parts of the cells; radius: Rm."""
     surface = membrane.surface
     assert surface is not None
     zone, corner = membrane.zone, membrane.corner.ravel()
     weight = (membrane.counted * membrane.share)[corner] * corner_areas.ravel()
-    x = (2 * positions.z[zone] - bottom - top) / (top - bottom)
-    moved = radial_distance(positions.at(zone)) - surface.made[zone]
+    places = Vector(*gathered(tuple(positions), zone))
+    x = (2 * places.z - bottom - top) / (top - bottom)
+    moved = radial_distance(places) - surface.made[zone]
     to_powers = jnp.asarray(LEGENDRE, x.dtype)
-    terms = (to_powers @ x ** jnp.arange(DEGREE + 1)[:, None])[:, corner]
+    terms = to_powers @ x ** jnp.arange(DEGREE + 1)[:, None]
+    *terms, moved = gathered((*terms, moved), corner)
+    terms = jnp.stack(terms)
     weighted = terms * (weight / weight.sum())
     matrix = weighted @ terms.T + RIDGE * jnp.eye(DEGREE + 1, dtype=x.dtype)
-    fitted = jnp.linalg.solve(matrix, weighted @ moved[corner])
+    fitted = jnp.linalg.solve(matrix, weighted @ moved)
     shape = fitted.at[0].set(radius) @ to_powers
     return Profile(shape, bottom, top, 0.5 * membrane.sector_angle, surface)
 
@@ -130,9 +130,9 @@ def axial_areas(membrane: "Membrane", place: jax.Array, profile: Profile, radius
     mean = profile.section(jnp.stack([middle + t * rise for t in GAUSS])).mean(axis=0)
     through = 0.5 * cotangent * edge[1] * mean  # times n_z and length, out of the cell of the edge's first end
     flow = membrane.owned * (through[before, :] - through[after, :])
-    axial = jnp.zeros(membrane.zone.size, place.dtype).at[membrane.corner].add(flow)
+    axial = added(flow, membrane.corner, membrane.zone.size, radius)
     axial = axial * membrane.share / (membrane.sector_angle * radius)
-    return jnp.zeros(count, place.dtype).at[membrane.zone].add(axial)
+    return added(axial, membrane.zone, count, radius)
 
 
 def straightened(stress, load: "Load", platen_forces: jax.Array) -> jax.Array:

@@ -185,10 +185,9 @@ def chatter(params: Params, network: ContactList, dt, state: State, forces: Forc
     params, state, forces, pair, normal = jax.lax.stop_gradient((params, state, forces, pair, normal))
 
     def moved(velocity: Vector, spin: Vector | None) -> tuple[Vector, jax.Array]:
-        relative = network.of_first(velocity) - network.of_second(velocity)
+        relative = network.apart(velocity)
         if spin is not None:
-            surface = spin * network.radius
-            turning = network.of_first(surface) + network.of_second(surface)
+            turning = network.together(spin * network.radius)
             relative = relative - turning.cross(pair.branch) * pair.per_reach
         approach = relative.dot(normal)
         return (relative - normal * approach) * dt, approach * dt

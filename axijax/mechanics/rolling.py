@@ -85,10 +85,10 @@ class RotationResistance(Term):
     def _contacts(self, network, state):
         place = geometry(network, state.displacement)
         normal = place.branch * (1 / jnp.sqrt(place.branch.dot(place.branch)))
-        return place, normal, network.of_first(state.velocity) - network.of_second(state.velocity)
+        return place, normal, network.apart(state.velocity)
 
     def _rate(self, network, spin, normal):
-        return self.part(network.of_first(spin) - network.of_second(spin), normal)
+        return self.part(network.apart(spin), normal)
 
     def _cut(self, params, network, dt, state, memory, push):
         """What was cut off the springs since t - dt, and their stiffness then and now."""

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from axijax.core.gather import taken
 from axijax.core.vector import Vector
 from axijax.mechanics.contact_list import ContactList, Room
 from axijax.mechanics.contacts import geometry
@@ -47,20 +48,19 @@ class Tight(NamedTuple):
 
     def memory_in(self, memory: tuple[Memory, ...]) -> tuple[Memory, ...]:
         """The terms' memory, with that of contacts for this list; it was made for the contact list."""
-        taken = lambda values: values.at[self.place].get(mode="promise_in_bounds")  # noqa: E731
-        return tuple(each._replace(contact=jax.tree.map(taken, each.contact)) for each in memory)
+        kept = self.found_at < self.place.size - 1
+        parts, structure = jax.tree.flatten([each.contact for each in memory])
+        inside = structure.unflatten(taken(parts, self.place, self.found_at, kept))
+        return tuple(each._replace(contact=contact) for each, contact in zip(memory, inside, strict=True))
 
     def memory_out(self, memory: tuple[Memory, ...], before: tuple[Memory, ...]) -> tuple[Memory, ...]:
         """The terms' memory for the contact list again; `before`, what it was, where this list lacks the contact."""
-        known = self.found_at < self.place.size - 1
-
-        def given(values, old):
-            return jnp.where(known, values.at[self.found_at].get(mode="promise_in_bounds"), old)
-
-        return tuple(
-            each._replace(contact=jax.tree.map(given, each.contact, old.contact))
-            for each, old in zip(memory, before, strict=True)
-        )
+        kept, real = self.found_at < self.place.size - 1, self.place < self.found_at.size - 1
+        parts, structure = jax.tree.flatten([each.contact for each in memory])
+        old = jax.tree.leaves([each.contact for each in before])
+        found = taken(parts, self.found_at, self.place, real)
+        outside = structure.unflatten([jnp.where(kept, *each) for each in zip(found, old, strict=True)])
+        return tuple(each._replace(contact=contact) for each, contact in zip(memory, outside, strict=True))
 
     def moved(self, displacement: Vector) -> jax.Array:
         """The square of how far each ball is from where it was when the list was made; (N,) [L^2]."""
@@ -101,7 +101,7 @@ def tighten(network: ContactList, displacement: Vector, allowed: jax.Array) -> T
     there = found_at.at[network.slot].get(mode="promise_in_bounds")
     rows = jnp.arange(width, dtype=jnp.int32)[:, None]
 
-    def taken(carry, row):
+    def next_row(carry, row):
         """Which of a ball's slots comes to each row of the tight table, and how many there are so far."""
         chosen, number = carry
         slot, filled = row
@@ -109,7 +109,7 @@ def tighten(network: ContactList, displacement: Vector, allowed: jax.Array) -> T
 
     start = jnp.full((width, balls), -1, jnp.int32), jnp.zeros(balls, jnp.int32)
     slots = jnp.arange(network.slot.shape[0], dtype=jnp.int32)
-    (chosen, number), _ = jax.lax.scan(taken, start, (slots, there < length - 1))
+    (chosen, number), _ = jax.lax.scan(next_row, start, (slots, there < length - 1))
     there_is = chosen >= 0
     chosen = jnp.maximum(chosen, 0) * balls + jnp.arange(balls, dtype=jnp.int32)
 
@@ -117,7 +117,7 @@ def tighten(network: ContactList, displacement: Vector, allowed: jax.Array) -> T
         return jnp.where(there_is, table.ravel().at[chosen].get(mode="promise_in_bounds"), without)
 
     def contact(values):
-        return values if values.ndim == 0 else values.at[place].get(mode="promise_in_bounds")
+        return values if values.ndim == 0 else taken([values], place, found_at, found_at < length - 1)[0]
 
     turned = {}
     if network.sector.images > 1:

@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from axijax.core.gather import gathered
 from axijax.core.sector import Sector, radial_distance
 from axijax.core.vector import Vector
 
@@ -77,8 +78,9 @@ def _surface(place: Vector, rho, angle, radius, mean, sector: Sector, bottom, to
     if sector.boundary == "periodic":  # the nearest image stands out farthest
         turns = (jax.lax.stop_gradient(angle)[ball] - theta[:, None]) / sector.angle
         column = column + columns * jnp.floor(turns + 0.5).astype(jnp.int32)
-    middle, beside = _along_line(place.at(ball), column, columns, sector)
-    rough = jnp.maximum(_leaving(middle, beside, height - place.z[ball], reach[ball]) - mean, 0.0)
+    here = Vector(*gathered(tuple(place), ball))
+    middle, beside = _along_line(here, column, columns, sector)
+    rough = jnp.maximum(_leaving(middle, beside, height - here.z, reach[ball]) - mean, 0.0)
 
     aside = jnp.abs(theta[:, None] - theta)
     if sector.boundary == "periodic":
@@ -212,6 +214,6 @@ def _between(surface, angle, height, sector: Sector) -> jax.Array:
     left = left % columns  # a modulus may round up to its divisor
     above = jnp.minimum(below + 1, rows - 1)
     u, v = x - jnp.floor(x), y - below
-    return (1 - u) * ((1 - v) * surface[left, below] + v * surface[left, above]) + u * (
-        (1 - v) * surface[right, below] + v * surface[right, above]
-    )
+    corners = jnp.stack([rows * column + row for column in (left, right) for row in (below, above)])
+    (found,) = gathered((surface.ravel(),), corners)
+    return (1 - u) * ((1 - v) * found[0] + v * found[1]) + u * ((1 - v) * found[2] + v * found[3])

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from axijax.core.platform import warn_where_slow
 from axijax.core.sector import radial_distance
 from axijax.core.status import ESCAPED, NOT_FINITE, STALE_CELLS, STALE_LIST
 from axijax.mechanics.contact_list import ContactList, closing
@@ -249,6 +250,7 @@ def march_until(
 def _stepping(scene: Scene, path: Path, lists: Lists, dt, params: Params, start: State):
     """A step of the stage, (load, network, state) -> state; and what is observed of a state and its load, with status
     bits. `network` is the contact list, or a tight one filtered from it."""
+    warn_where_slow()
     network, membrane = lists
     scene, params = path.scene(scene), path.params(params, network, membrane, start.platens)
     one = make_step(scene, path.platen_speeds, None if start.loading is None else path.loading)

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 
+from axijax.core.gather import linear
 from axijax.core.quantity import senseless
 from axijax.core.status import NOT_CONFINED, SENSELESS, UNFINISHED, UNFOLLOWED
 from axijax.mechanics.contact_list import closing
@@ -156,6 +157,27 @@ def _march_stages(prepared: Prepared, lists: Lists, params: Params, state: State
     return jax.tree.map(lambda *parts: jnp.concatenate(parts), *kept)
 
 
+def _end_of_reverse_mode(tree):
+    """The same tree, through whose numbers no derivative passes backwards: confinement takes as many steps as it needs.
+
+    The friction of the shear is no matter of confinement, and forward mode passes it.
+    """
+    # One by one, so that what has no tangent is not given one of zeros.
+    return jax.tree.map(lambda leaf: linear(_same, _refuse, (), [leaf])[0], tree)
+
+
+def _same(_, values):
+    return values
+
+
+def _refuse(_, cotangents):
+    raise ValueError(
+        "reverse mode (jax.grad, jax.vjp) ends at confinement, which takes as many steps as it needs: it is for what "
+        "confinement does not depend on, as friction; for a stiffness, the density, the damping or the confining "
+        "stress take jax.jvp or jax.jacfwd."
+    )
+
+
 @jax.jit
 def simulate(prepared: Prepared, params: Params) -> Curve:
     """The curve of a test, a pure function of its lists and parameters: confinement and shear.
@@ -168,6 +190,7 @@ def simulate(prepared: Prepared, params: Params) -> Curve:
         lists, confined, balance = _confine_rebuilding(prepared, params)
     else:
         confined, balance = confine(prepared, params)
+    lists, confined = _end_of_reverse_mode((lists, confined))
     start = start_shear(prepared.scene, params, lists, confined)
     fixed = fixed_load(numerics.refresh, prepared.lateral_load, lists, start)
     if prepared.stages:

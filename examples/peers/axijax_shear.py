@@ -11,7 +11,7 @@ what: "shear" is the shear alone from the confined state, `blocks` records of 50
     it; "whole" is confinement and shear, what a user waits for; "slopes" is the shear of the test, read by peak
     functionals, for derivatives with respect to friction, on which the confined state does not depend.
 tangents: 0, 1 (friction) or 3 (and both stiffnesses), forward mode. reverse: for "slopes", the gradient of the window
-    mean in reverse mode, without the fast kernels, which it cannot have.
+    mean in reverse mode.
 tests: for "shear", so many at once: in as many threads as cores on a CPU, by vmap elsewhere; for "batch", members of an
     `axijax.app.batch.run_batch` of whole tests, friction from 0.05 to 0.3.
 least_seconds: repeat the run until so much time has passed, and report the time of one.
@@ -250,8 +250,7 @@ def timed(program: Program, options, friction):
 
 def main() -> None:
     options = json.loads(sys.argv[1])
-    if not options.get("reverse"):
-        axijax.fast_cpu_kernels()
+    axijax.fast_cpu_kernels()
     program = Program(options)
     if options.get("what") == "batch":
         batch(program, 1)  # compiles what a run needs
