@@ -45,7 +45,7 @@ def test_scene_carries_the_whole_membrane(scene):
 def test_scene_of_a_sector_is_refused(tmp_path):
     test = axijax.TriaxialTest(axijax.fcc_octagon(layers=3), axijax.Sector(4))
     with pytest.raises(ValueError, match="full cylinder"):
-        peers.write_scene(tmp_path / "scene.npz", test, None, None)
+        peers.write_scene(tmp_path / "scene.npz", test, None, None, None)
 
 
 def test_lammps_follows_our_curve(scene):

@@ -12,7 +12,7 @@ from test_neighbors import ANY_OVERLAP, every_pair, from_both_sides, listed, ran
 
 from axijax import Params, Scene, Sector, Specimen, TriaxialTest, random_cylinder
 from axijax.core.vector import Vector, from_rows
-from axijax.mechanics.contact_list import Room, build_contact_list, closing
+from axijax.mechanics.contact_list import Room, build_contact_list
 from axijax.mechanics.dynamics import initial_state, make_step, terms_of
 from axijax.mechanics.membrane import Load
 from axijax.mechanics.tight_list import allowances, tighten
@@ -109,12 +109,9 @@ def test_a_ball_shot_into_a_hole_meets_what_is_behind_it(order):
         def until(state, most):
             return until_balls_moved(lambda s: step(network, s), network, dt, most, state)  # noqa: B023
 
-        def wear(state):
-            return closing(network, state.displacement) / (2 * network.skin)  # noqa: B023
-
         @jit
         def run(state):
-            return steps_until_worn(step, network, dt, first, state, number, 50, 10, wear, until)  # noqa: B023
+            return steps_until_worn(step, network, dt, first, state, number, 50, 10, 2 * network.skin, until)  # noqa: B023
 
         state, taken, _ = run(start)
         assert int(taken) == number

@@ -1,5 +1,6 @@
 """What a test measures at one moment: stress ratios, strains, coordination, sliding, balance. Compression positive."""
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -7,7 +8,7 @@ import jax.numpy as jnp
 
 from axijax.core.sector import radial_distance
 from axijax.core.shown import shown
-from axijax.core.vector import Vector
+from axijax.core.vector import Vector, per_root
 from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.contacts import Geometry, geometry
 from axijax.mechanics.dynamics import Forces, Scene, all_forces, next_motion, positions
@@ -98,7 +99,7 @@ def observe(
 
     force = forces.contacts.force
     pair = geometry(network, state.displacement)
-    normal = pair.branch * (1 / jnp.sqrt(pair.branch.dot(pair.branch)))
+    normal = pair.branch * per_root(pair.branch.dot(pair.branch))
     normal_force = force.dot(normal)
     touching = (pair.overlap > 0) * network.share
     number = touching.sum()
@@ -193,10 +194,13 @@ def chatter(params: Params, network: ContactList, dt, state: State, forces: Forc
         approach = relative.dot(normal)
         return (relative - normal * approach) * dt, approach * dt
 
-    slip, approach = moved(state.velocity, state.spin)
-    next_slip, next_approach = moved(*next_motion(params, network, dt, state, forces))
     overlap = jnp.maximum(pair.overlap, 0.0)
     touching = (overlap > 0) * network.share
+    later = next_motion(params, network, dt, state, forces)
+    # XLA fuses across everything but a branch, and would sum up a ball's moments anew for each of its contacts.
+    later = jax.lax.cond((touching > 0).any(), lambda motion: motion, partial(jax.tree.map, jnp.zeros_like), later)
+    slip, approach = moved(state.velocity, state.spin)
+    next_slip, next_approach = moved(*later)
 
     def reversing(product, scale):
         squares = (touching * scale**2).sum()

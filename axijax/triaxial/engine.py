@@ -184,7 +184,7 @@ def march_until(
             return until_balls_moved(lambda s: step(load, network, s), network, dt, most, state, every_step)
 
         if tightly:
-            worn = partial(_list_wear, network) if until_worn else lambda state: jnp.zeros(())
+            worn = WORN * network.skin if until_worn else None
             state, taken, tight = steps_until_worn(
                 partial(step, load), network, dt, tight, state, now.due, record_every, STRIDE, worn, with_all
             )
