@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import Delaunay
 
+from axijax.core.once import computed_once
 from axijax.core.sector import Sector, radial_distance
 from axijax.core.shown import shown
 from axijax.core.vector import Vector, from_rows
@@ -404,6 +405,7 @@ def _corner_places(membrane, positions, bottom, top, radius):
     x, y, z = positions.at(membrane.zone)
     cos, sin = membrane.direction
     theta = membrane.angle + jnp.arctan2(cos * y - sin * x, cos * x + sin * y)  # no jump at theta = 2*pi
+    theta = computed_once(theta, top > bottom)
     across = membrane.turn_sign * theta[membrane.corner] + membrane.turn_shift
     height = membrane.flip_sign * z[membrane.corner] + membrane.flip_bottom * bottom + membrane.flip_top * top
     return jnp.stack([radius * across, height])

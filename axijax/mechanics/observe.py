@@ -1,11 +1,11 @@
 """What a test measures at one moment: stress ratios, strains, coordination, sliding, balance. Compression positive."""
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from axijax.core.once import computed_once
 from axijax.core.sector import radial_distance
 from axijax.core.shown import shown
 from axijax.core.vector import Vector, per_root
@@ -196,9 +196,7 @@ def chatter(params: Params, network: ContactList, dt, state: State, forces: Forc
 
     overlap = jnp.maximum(pair.overlap, 0.0)
     touching = (overlap > 0) * network.share
-    later = next_motion(params, network, dt, state, forces)
-    # XLA fuses across everything but a branch, and would sum up a ball's moments anew for each of its contacts.
-    later = jax.lax.cond((touching > 0).any(), lambda motion: motion, partial(jax.tree.map, jnp.zeros_like), later)
+    later = computed_once(next_motion(params, network, dt, state, forces), (touching > 0).any())
     slip, approach = moved(state.velocity, state.spin)
     next_slip, next_approach = moved(*later)
 

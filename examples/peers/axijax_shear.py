@@ -93,6 +93,11 @@ def functionals(curve):
     return jnp.stack([HardPeak()(curve), WindowMean()(curve)])
 
 
+def _steps(run, test) -> int:
+    """How many a run's shear took."""
+    return round(float(run.state.time) / test.prepared.time_step)
+
+
 class Program:
     """A compiled run: arguments kept, called with a friction."""
 
@@ -121,7 +126,7 @@ class Program:
             peers.write_scene(Path(options["scene"]), test, start.network, state, start.fixed)
         self.compiled, self.arguments = lambda params: test.run(start=start), (None,)
         began = time.perf_counter()
-        self()
+        self.steps = _steps(self(), test)
         self.compile_seconds = time.perf_counter() - began
 
     def _shear(self, options, test):
@@ -265,7 +270,7 @@ def timed(program: Program, options, friction):
     what = options.get("what", "shear")
     if what == "run":
         curve = result.curve
-        steps = round(float(result.state.time) / program.test.prepared.time_step)
+        steps = _steps(result, program.test)
         shown = {name: np.asarray(getattr(curve, name)).tolist() for name in ("axial_strain", "stress_ratio")}
         return reply | {"steps": steps, "records": len(curve.axial_strain)} | shown
     if what == "slopes" and options.get("reverse"):
