@@ -15,7 +15,7 @@ from axijax.core.vector import Vector, from_rows
 from axijax.mechanics.contact_list import Room, build_contact_list
 from axijax.mechanics.dynamics import initial_state, make_step, terms_of
 from axijax.mechanics.membrane import Load
-from axijax.mechanics.tight_list import allowances, tighten
+from axijax.mechanics.tight_list import Tight, allowances, tighten
 from axijax.triaxial.engine import until_balls_moved
 from axijax.triaxial.tight_steps import can_be_tight, fixed_steps, steps_until_worn, tight_list
 
@@ -69,6 +69,20 @@ def test_it_holds_until_one_ball_has_moved_by_more_than_it_was_allowed():
             away = np.zeros((3, 25))
             away[2, ball] = share * float(tight.allowed[ball])
             assert bool(tight.holds(tight.moved(shift + from_rows(away)))) is holds
+
+
+def test_it_lasts_while_no_ball_is_likely_to_leave_what_it_was_allowed():
+    """By what each ball has moved, and twice what it would move at its speed; and not where it had no room."""
+    still, allowed = np.zeros((3, 25)), np.full(25, 0.01)
+    nothing = jnp.zeros(1, jnp.int32)
+    tight = Tight(None, nothing, nothing, from_rows(still), jnp.asarray(allowed), jnp.zeros(()), jnp.ones((), bool))
+    for moved, speed, lasts in ((0.0, 0.0, True), (0.0, 4.9e-3, True), (0.0, 5.1e-3, False), (9e-3, 4e-4, True),
+                                (9e-3, 6e-4, False), (1.1e-2, 0.0, False)):  # fmt: skip
+        there, velocity = still.copy(), still.copy()
+        there[2, 7], velocity[0, 7] = moved, speed
+        assert bool(tight.lasts(from_rows(there), from_rows(velocity), 0.1, 10)) is lasts
+    full = tight._replace(fits=jnp.zeros((), bool))
+    assert not bool(full.lasts(from_rows(still), from_rows(still), 0.1, 1))
 
 
 def shot(order, speed):
