@@ -74,9 +74,9 @@ class Evaluator:
         reach = None if staged else getattr(model.simulator, "axial_strain", None)
         for target in self.targets:
             if getattr(target, "places", None) is not None and getattr(model.simulator, "stages", None) == ():
+                turn = int(np.argmax(target.places.branch > 0)) - 1
                 raise ValueError(
-                    f"'{target.label}' turns back at strain "
-                    f"{target.axial_strain[int(np.argmax(target.places.branch > 0)) - 1]:g}, but the test has no stages: "
+                    f"'{target.label}' turns back at strain {target.axial_strain[turn]:g}, but the test has no stages: "
                     "give it those of the data (stages=curve.stages(), or [[stage]] in its case file)."
                 )
             if reach is not None and target.last_strain > reach:

@@ -1,12 +1,16 @@
 """Speed of the simulator, alone and beside LAMMPS and YADE: ball-steps a second, compile time, memory.
 
-    python examples/benchmark.py --output benchmark [--parts kernel,peers,tangents,batch,scaling] [--repeats 3]
+    python examples/benchmark.py --output benchmark [--parts random,kernel,peers,tangents,batch,scaling] [--repeats 3]
+
+First the job that everybody has: dense random packings, sheared to 5 % strain by `TriaxialTest.run`, whole runs with
+records and rebuilt lists, beside LAMMPS from the same state, in seconds of the processor. Then lattices, whose list
+never changes: the steps alone.
 
 Every code runs in a process of its own, pinned to one core or two, and the codes take turns, so that a slow moment of
-the machine strikes all of them. Timed are the steps of a shear from the same confined specimen, membrane forces fixed
-in size and a record every 50 steps, after compilation and set-up, which are noted apart. Median and range of the
-repeats; results are written after each group as benchmark.json and benchmark.md in the output folder, and groups that
-are there already are not run again (--fresh runs them). On another device (GPU) the same command measures that one.
+the machine strikes all of them. Shears begin at the same confined specimen, with membrane forces fixed in size and a
+record every 50 steps; compilation and set-up are noted apart. Median and range of the repeats; results are written
+after each group as benchmark.json and benchmark.md in the output folder, and groups that are there already are not run
+again (--fresh runs them). On another device (GPU) the same command measures that one.
 
 Ours has dashpots in the contacts, its default; LAMMPS has the same and, to compare, local damping; YADE has local
 damping. Peers that are not installed are named and left out (`pip install 'axijax[peers]'`, `apt-get install yade`).
@@ -30,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent / "peers"))
 
 from peers import LAMMPS, YADE, Ours, missing, run_peer
 
-PARTS = ("kernel", "peers", "tangents", "batch", "scaling")
+PARTS = ("random", "kernel", "peers", "tangents", "batch", "scaling")
 SPECIMENS = {  # full cylinders by number of balls
     209: {"layers": 3},
     475: {"layers": 7},
@@ -38,6 +42,12 @@ SPECIMENS = {  # full cylinders by number of balls
     7432: {"half_width": 19},
     31252: {"half_width": 39},
 }
+PACKINGS = {  # dense random packings by name: balls, radii from and to, axial strain of the shear
+    "2016 random equal": (2016, (20.0, 20.0), 0.05),
+    "2016 random 16-24": (2016, (16.0, 24.0), 0.05),
+    "16128 random 16-24": (16128, (16.0, 24.0), 0.01),
+}
+INERTIAL_NUMBER = 1e-3  # of their shears
 SHEAR = {"axial_strain": 0.006, "refresh": False}
 BALL_STEPS = {"axijax": 8e6, LAMMPS: 8e6, YADE: 2e6}  # of one timing, a second or two each
 LARGEST_BATCH = 256
@@ -90,7 +100,7 @@ class Bench:
             for label, once in codes.items():
                 reply = once()
                 rows[label] |= {key: reply[key] for key in ("steps", "version", "setup_seconds") if key in reply}
-                seconds[label].append(reply["seconds"])
+                seconds[label].append(reply["cpu_seconds"] if rows[label]["part"] == "random" else reply["seconds"])
         for label, row in rows.items():
             work = row["balls"] * row["steps"] * row["tests"]
             row["seconds"] = seconds[label]
@@ -144,6 +154,26 @@ class Bench:
                         return {k: getattr(done, k) for k in ("seconds", "steps", "version", "setup_seconds")}
 
                     codes[label] = once
+            return self.alternate(codes, rows)
+
+    def packing(self, name: str, with_peers: bool) -> list[dict]:
+        """Whole shears of a random packing on one core, in seconds of the processor, and LAMMPS in turn."""
+        balls, radii, strain = PACKINGS[name]
+        shape = {
+            "what": "run", "specimen": {"balls": balls, "radii": radii}, "order": 1, "least_seconds": 0.0,
+            "inertial_number": INERTIAL_NUMBER,
+            "test": {"axial_strain": strain, "refresh": False, "tolerance": 1e-3},
+        }  # fmt: skip
+        with ExitStack() as stack:
+            scene = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "scene.npz"
+            codes, rows = self.ours(stack, "random", [shape | {"scene": str(scene)}])
+            steps = next(iter(rows.values()))["steps"]
+            if with_peers and LAMMPS not in missing():
+                rows[LAMMPS] = {
+                    "part": "random", "code": LAMMPS, "dtype": "float64", "balls": balls, "order": 1, "cores": 1,
+                    "tangents": 0, "tests": 1,
+                }  # fmt: skip
+                codes[LAMMPS] = lambda: run_peer(LAMMPS, scene, steps, first_cores(1))._asdict()
             return self.alternate(codes, rows)
 
     def tangents(self, order: int, dtype: str) -> list[dict]:
@@ -241,16 +271,17 @@ def tables(groups: dict[str, list[dict]]) -> str:
 def ratios(groups) -> list[str]:
     """How many times faster than the peers, size by size and core by core."""
     lines = ["", "Times faster than a peer on as many cores, per ball-step, medians of alternating runs:", ""]
-    lines += ["| balls | n | tests | cores | numbers | LAMMPS | YADE |", "|---|---|---|---|---|---|---|"]
+    lines += ["| what | balls | n | tests | cores | numbers | LAMMPS | YADE |", "|" + "---|" * 8]
     start = len(lines)
-    for rows in groups.values():
+    for name, rows in groups.items():
         peers = {(row["code"], row["cores"]): row for row in rows if row["code"] != "axijax"}
         for row in rows:
-            if row["code"] == "axijax" and peers and row["part"] == "kernel":
+            if row["code"] == "axijax" and peers and row["part"] in ("random", "kernel"):
                 found = [peers.get((code, row["cores"])) for code in (LAMMPS, YADE)]
                 shown = [f"{ratio(row, other):.2f}" if other else "-" for other in found]
+                what = "lattice" if row["part"] == "kernel" else name.split(" ", 1)[1]
                 lines.append(
-                    f"| {row['balls']} | {row['order']} | {row['tests']} | {row['cores']} | {row['dtype']} | "
+                    f"| {what} | {row['balls']} | {row['order']} | {row['tests']} | {row['cores']} | {row['dtype']} | "
                     + " | ".join(shown) + " |"
                 )  # fmt: skip
     return lines if len(lines) > start else []
@@ -302,6 +333,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=Path("benchmark"), help="folder")
     parser.add_argument("--parts", default=",".join(PARTS), help=f"of {', '.join(PARTS)}")
     parser.add_argument("--sizes", default="475,1672,7432,31252", help=f"balls, of {', '.join(map(str, SPECIMENS))}")
+    parser.add_argument("--packings", default=",".join(PACKINGS), help="random packings, of these")
     parser.add_argument("--cores", default="1,2", help="numbers of cores")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--budget", type=float, default=np.inf, help="seconds after which no further group is begun")
@@ -313,12 +345,17 @@ def main() -> None:
     sizes = [int(size) for size in options.sizes.split(",")]
     if unknown := set(sizes) - set(SPECIMENS):
         parser.error(f"--sizes {unknown}: known are {', '.join(map(str, SPECIMENS))}")
+    if unknown := set(options.packings.split(",")) - set(PACKINGS):
+        parser.error(f"--packings {', '.join(sorted(unknown))}: known are {', '.join(PACKINGS)}")
     available = len(first_cores(10**6))
     cores = tuple(n for n in map(int, options.cores.split(",")) if n <= available)
     bench = Bench(options.output, options.repeats, options.budget, cores, options.fresh)
     if "peers" in parts:
         for code, why in missing().items():
             print(f"{code} {why}")
+    if "random" in parts:
+        for name in options.packings.split(","):
+            bench.group(name, lambda name=name: bench.packing(name, "peers" in parts))
     if {"kernel", "peers"} & set(parts):
         for balls in sizes:
             bench.group(f"{balls} balls", lambda balls=balls: bench.kernel(balls, "peers" in parts))

@@ -118,7 +118,7 @@ class Study:
         options |= {"what": "shear", "blocks": 2, "scene": str(path)}
         with Ours(first_cores(1), **options) as one:
             numbers = np.load(path)
-            mass = float(numbers["density"]) * 4 / 3 * np.pi * float(numbers["radius"]) ** 3
+            mass = float(numbers["density"]) * 4 / 3 * np.pi * float(numbers["radius"].mean()) ** 3
             undamped = 0.3162 * np.sqrt(mass / float(numbers["normal_stiffness"]))  # of FCC with kn = ks
             return {
                 "critical": {"dashpot": one.ready["time_step"] / 0.6, "local": float(undamped)},

@@ -2,11 +2,13 @@
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import axijax
+from axijax.core.vector import from_rows
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 sys.path[:0] = [str(EXAMPLES), str(EXAMPLES / "peers")]
@@ -47,7 +49,23 @@ def test_scene_carries_the_whole_membrane(scene):
 def test_scene_of_a_sector_is_refused(tmp_path):
     test = axijax.TriaxialTest(axijax.fcc_octagon(layers=3), axijax.Sector(4))
     with pytest.raises(ValueError, match="full cylinder"):
-        peers.write_scene(tmp_path / "scene.npz", test, None, None)
+        peers.write_scene(tmp_path / "scene.npz", test, None, None, None)
+
+
+def test_scene_of_unequal_balls_is_that_of_the_list_it_is_given(tmp_path):
+    """Each ball its radius, and positions from a list that was rebuilt in confinement."""
+    radius, places = np.array([16.0, 24.0]), np.arange(6.0).reshape(3, 2)
+    prepared = SimpleNamespace(time_step=1e-3, shear=SimpleNamespace(ramp_time=1.0))
+    test = SimpleNamespace(
+        sector=axijax.Sector(1), params=axijax.Params(), cut=SimpleNamespace(radius=radius), prepared=prepared
+    )
+    state = SimpleNamespace(displacement=from_rows(0.5 + 0 * places), platens=np.array([0.0, 90.0]))
+    load = SimpleNamespace(lateral=np.array([0.0, 3.0]), section=2.0)
+    peers.write_scene(tmp_path / "scene.npz", test, SimpleNamespace(positions=from_rows(places)), state, load)
+    scene = np.load(tmp_path / "scene.npz")
+    np.testing.assert_array_equal(scene["radius"], radius)
+    np.testing.assert_array_equal(scene["positions"], places + 0.5)
+    np.testing.assert_array_equal(scene["membrane_force"], float(axijax.Params().confining_stress) * load.lateral)
 
 
 def test_lammps_follows_our_curve(scene):
@@ -85,7 +103,7 @@ def test_ratios_compare_runs_that_took_turns():
     ours, lammps = row("axijax", 1, [8e6, 4e6, 6e6]), row(peers.LAMMPS, 1, [4e6, 2e6, 1.5e6])
     assert benchmark.ratio(ours, lammps) == pytest.approx(2.0)
     text = benchmark.tables({"1000 balls": [ours, lammps]})
-    assert "| 1000 | 1 | 1 | 1 | float64 | 2.00 | - |" in text and "6.00 (4.00 to 8.00)" in text
+    assert "| lattice | 1000 | 1 | 1 | 1 | float64 | 2.00 | - |" in text and "6.00 (4.00 to 8.00)" in text
 
 
 def test_pareto_front_and_fastest_within_a_tolerance(tmp_path):

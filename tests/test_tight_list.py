@@ -12,10 +12,10 @@ from test_neighbors import ANY_OVERLAP, every_pair, from_both_sides, listed, ran
 
 from axijax import Params, Scene, Sector, Specimen, TriaxialTest, random_cylinder
 from axijax.core.vector import Vector, from_rows
-from axijax.mechanics.contact_list import Room, build_contact_list, closing
+from axijax.mechanics.contact_list import Room, build_contact_list
 from axijax.mechanics.dynamics import initial_state, make_step, terms_of
 from axijax.mechanics.membrane import Load
-from axijax.mechanics.tight_list import allowances, tighten
+from axijax.mechanics.tight_list import Tight, allowances, tighten
 from axijax.triaxial.engine import until_balls_moved
 from axijax.triaxial.tight_steps import can_be_tight, fixed_steps, steps_until_worn, tight_list
 
@@ -72,6 +72,20 @@ def test_it_holds_until_one_ball_has_moved_by_more_than_it_was_allowed():
             assert bool(tight.holds(tight.moved(shift + from_rows(away)))) is holds
 
 
+def test_it_lasts_while_no_ball_is_likely_to_leave_what_it_was_allowed():
+    """By what each ball has moved, and twice what it would move at its speed; and not where it had no room."""
+    still, allowed = np.zeros((3, 25)), np.full(25, 0.01)
+    nothing = jnp.zeros(1, jnp.int32)
+    tight = Tight(None, nothing, nothing, from_rows(still), jnp.asarray(allowed), jnp.zeros(()), jnp.ones((), bool))
+    for moved, speed, lasts in ((0.0, 0.0, True), (0.0, 4.9e-3, True), (0.0, 5.1e-3, False), (9e-3, 4e-4, True),
+                                (9e-3, 6e-4, False), (1.1e-2, 0.0, False)):  # fmt: skip
+        there, velocity = still.copy(), still.copy()
+        there[2, 7], velocity[0, 7] = moved, speed
+        assert bool(tight.lasts(from_rows(there), from_rows(velocity), 0.1, 10)) is lasts
+    full = tight._replace(fits=jnp.zeros((), bool))
+    assert not bool(full.lasts(from_rows(still), from_rows(still), 0.1, 1))
+
+
 def shot(order, speed):
     """Balls at rest in a ring with a hole between them, and one that flies into it and hits the wall behind, which is
     listed and far from touching: the scene, and what steps it."""
@@ -105,9 +119,6 @@ def test_a_ball_shot_into_a_hole_meets_what_is_behind_it(order):
     def until(state, most):
         return until_balls_moved(lambda s: step(network, s), network, dt, most, state)
 
-    def wear(state):
-        return closing(network, state.displacement) / (2 * network.skin)
-
     @jit
     def with_all(state, number):
         return jax.lax.fori_loop(0, number, lambda _, s: step(network, s), state)
@@ -119,7 +130,7 @@ def test_a_ball_shot_into_a_hole_meets_what_is_behind_it(order):
     @jit
     def run(state, number):
         first = tight_list(network, state, dt, 50)
-        return steps_until_worn(step, network, dt, first, state, number, 50, 10, wear, until)
+        return steps_until_worn(step, network, dt, first, state, number, 50, 10, 2 * network.skin, until)
 
     for speed, flights in ((2.0, 20), (40.0, 1)):
         _, start, _ = shot(order, speed)

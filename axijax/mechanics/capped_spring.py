@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
-from axijax.core.vector import Vector
+from axijax.core.vector import Vector, per_root
 
 
 class Shared(NamedTuple):
@@ -45,7 +45,7 @@ def value(spring: Vector, rate: Vector, stiffness, viscosity, limit, dt) -> tupl
     # Without slip it would be 0/0, in value and tangent; a spring at rest is far below any limit but zero. The cap is a
     # minimum, not a choice by `sliding`: the compiler makes a condition anew wherever it is used, rounded differently,
     # so two choices by it need not agree.
-    per_size = 1 / jnp.sqrt(jnp.where(square > 0, square, jnp.finfo(square.dtype).tiny))
+    per_size = per_root(jnp.where(square > 0, square, jnp.finfo(square.dtype).tiny))
     scale = jnp.minimum(limit * per_size, 1.0)
     shared = Shared(stretched, trial, square > limit * limit, per_size, scale)
     return trial * scale, stretched * scale, shared

@@ -19,7 +19,7 @@ from typing import NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 
-from axijax.core.vector import Vector, zeros
+from axijax.core.vector import Vector, per_root, zeros
 from axijax.mechanics import capped_spring
 from axijax.mechanics.capped_spring import moving, plus, plus_vector
 from axijax.mechanics.contact_list import ContactList
@@ -140,7 +140,7 @@ def normal_force_of(law: Law, place: Geometry, normal_speed: jax.Array) -> tuple
 
 def _evaluate(law: Law, dt, place: Geometry, approach: Vector, surface_velocity: Vector | None, spring: Vector):
     """The frictional law, and the intermediate results that its derivative shares."""
-    inverse = 1 / jnp.sqrt(place.branch.dot(place.branch))
+    inverse = per_root(place.branch.dot(place.branch))
     normal = place.branch * inverse
     normal_speed = approach.dot(normal)
     slip_rate = approach - normal * normal_speed
@@ -278,7 +278,7 @@ def _now_and_before(dt, state) -> tuple[Vector, Vector]:
 def relative_motion(network: ContactList, displacement: Vector, velocity: Vector, spin: Vector | None):
     """Normals of the contacts, and the velocity of the first ball's surface against the second's; (C,) vectors."""
     place = geometry(network, displacement)
-    normal = place.branch * (1 / jnp.sqrt(place.branch.dot(place.branch)))
+    normal = place.branch * per_root(place.branch.dot(place.branch))
     relative = network.apart(velocity)
     if spin is not None:
         surface_velocity = network.together(spin * network.radius)

@@ -22,6 +22,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from axijax.core.gather import added, gathered
+from axijax.core.once import computed_once
 from axijax.core.sector import Sector, radial_distance
 from axijax.core.shown import shown
 from axijax.core.vector import Vector, from_rows
@@ -410,7 +411,7 @@ def _corner_places(membrane, positions, bottom, top, radius):
     x, y, z = in_zone(membrane, positions)
     cos, sin = membrane.direction
     theta = membrane.angle + jnp.arctan2(cos * y - sin * x, cos * x + sin * y)  # no jump at theta = 2*pi
-    theta, z = gathered((theta, z), membrane.corner)
+    theta, z = gathered((computed_once(theta, top > bottom), z), membrane.corner)
     across = membrane.turn_sign * theta + membrane.turn_shift
     height = membrane.flip_sign * z + membrane.flip_bottom * bottom + membrane.flip_top * top
     return jnp.stack([radius * across, height])

@@ -5,9 +5,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from axijax.core.once import computed_once
 from axijax.core.sector import radial_distance
 from axijax.core.shown import shown
-from axijax.core.vector import Vector
+from axijax.core.vector import Vector, per_root
 from axijax.mechanics.contact_list import ContactList
 from axijax.mechanics.contacts import Geometry, geometry
 from axijax.mechanics.dynamics import Forces, Scene, all_forces, next_motion, positions
@@ -98,7 +99,7 @@ def observe(
 
     force = forces.contacts.force
     pair = geometry(network, state.displacement)
-    normal = pair.branch * (1 / jnp.sqrt(pair.branch.dot(pair.branch)))
+    normal = pair.branch * per_root(pair.branch.dot(pair.branch))
     normal_force = force.dot(normal)
     touching = (pair.overlap > 0) * network.share
     number = touching.sum()
@@ -192,10 +193,11 @@ def chatter(params: Params, network: ContactList, dt, state: State, forces: Forc
         approach = relative.dot(normal)
         return (relative - normal * approach) * dt, approach * dt
 
-    slip, approach = moved(state.velocity, state.spin)
-    next_slip, next_approach = moved(*next_motion(params, network, dt, state, forces))
     overlap = jnp.maximum(pair.overlap, 0.0)
     touching = (overlap > 0) * network.share
+    later = computed_once(next_motion(params, network, dt, state, forces), (touching > 0).any())
+    slip, approach = moved(state.velocity, state.spin)
+    next_slip, next_approach = moved(*later)
 
     def reversing(product, scale):
         squares = (touching * scale**2).sum()

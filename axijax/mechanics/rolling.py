@@ -19,7 +19,7 @@ import jax.numpy as jnp
 
 from axijax.core.quantity import quantity
 from axijax.core.tree import pytree
-from axijax.core.vector import Vector, zeros
+from axijax.core.vector import Vector, per_root, zeros
 from axijax.mechanics import capped_spring
 from axijax.mechanics.contacts import geometry, normal_force_of
 from axijax.mechanics.term import STICKING, Memory, Push, Spent, Stored, Term
@@ -84,7 +84,7 @@ class RotationResistance(Term):
 
     def _contacts(self, network, state):
         place = geometry(network, state.displacement)
-        normal = place.branch * (1 / jnp.sqrt(place.branch.dot(place.branch)))
+        normal = place.branch * per_root(place.branch.dot(place.branch))
         return place, normal, network.apart(state.velocity)
 
     def _rate(self, network, spin, normal):

@@ -1,11 +1,12 @@
 """A tight list: of a contact list's pairs those that can touch during the next few steps, found inside jit.
 
 In a random packing the contact list holds twice as many pairs as touch, so that it lasts, and a pair costs as much
-whether it touches or not. So the steps between two records see only the pairs whose gap their balls can close in that
-time. Every ball is allowed so much displacement (`allowances`), a pair is kept where its gap is smaller than what its
-two balls are allowed together, and as long as no ball has moved by more than it was allowed (`Tight.holds`), no contact
-is missing: images move as far as their balls do. A pair that does not touch has no force and an unstrained spring, and
-contacts keep their order, so that a step gives the same result to rounding whichever of the two lists it sees.
+whether it touches or not. So steps see only the pairs whose gap their balls can close in a while. Every ball is allowed
+so much displacement (`allowances`), a pair is kept where its gap is smaller than what its two balls are allowed
+together, and as long as no ball has moved by more than it was allowed (`Tight.holds`), no contact is missing: images
+move as far as their balls do. In a slow test that is true for many records. A pair that does not touch has no force and
+an unstrained spring, and contacts keep their order, so that a step gives the same result to rounding whichever of the
+two lists it sees.
 
 Contacts and slots of the tight list have a fixed room; where that does not suffice it says so (`Tight.fits`), and the
 contact list itself has to be used.
@@ -20,11 +21,11 @@ import numpy as np
 
 from axijax.core.gather import taken
 from axijax.core.vector import Vector
-from axijax.mechanics.contact_list import ContactList, Room
+from axijax.mechanics.contact_list import ContactList, Room, closing
 from axijax.mechanics.contacts import geometry
 from axijax.mechanics.term import Memory
 
-STEPS = 50  # most steps between two filterings, which cost as much as two steps
+STEPS = 50  # most steps that are taken before it is found out whether the list held
 SLACK = 0.02  # by which any ball may move between two filterings, in radii of the smallest ball
 FASTER = 2.0  # times what it would move at its present speed, which it may move besides
 
@@ -36,6 +37,7 @@ class Tight(NamedTuple):
     place: (C',) int, of each of its contacts in the contact list; the last, never closed, where there is none.
     found_at: (C,) int, of each contact of the contact list in this one; the last where it is not there.
     start: (N,) displacements at which it was made [L]. allowed: (N,) how far each ball may move from there [L].
+    closed: the most by which two balls can have come closer since the contact list was built, while this one holds [L].
     fits: whether it holds all that it should.
     """
 
@@ -44,6 +46,7 @@ class Tight(NamedTuple):
     found_at: jax.Array
     start: Vector
     allowed: jax.Array
+    closed: jax.Array
     fits: jax.Array
 
     def memory_in(self, memory: tuple[Memory, ...]) -> tuple[Memory, ...]:
@@ -71,11 +74,20 @@ class Tight(NamedTuple):
         """Whether no contact has been missed, balls having been so far away; farthest: (N,) as `moved` [L^2]."""
         return self.fits & (farthest <= self.allowed**2).all()
 
+    def lasts(self, displacement: Vector, velocity: Vector, dt, steps) -> jax.Array:
+        """Whether it is likely to hold for so many steps more from these displacements and velocities."""
+        ahead = jnp.sqrt(self.moved(displacement)) + _reach(velocity, dt, steps).astype(self.allowed.dtype)
+        return self.fits & (ahead <= self.allowed).all()
+
 
 def allowances(network: ContactList, velocity: Vector, dt, steps) -> jax.Array:
     """How far each ball may move in so many steps; (N,) [L]. velocity: (N,) vectors [L/T]; dt: of a step [T]."""
-    reach = jnp.sqrt(velocity.dot(velocity)) * (FASTER * dt * steps) + SLACK * network.radius.min()
-    return jax.lax.stop_gradient(reach.astype(network.dtype))
+    return (_reach(velocity, dt, steps) + SLACK * network.radius.min()).astype(network.dtype)
+
+
+def _reach(velocity: Vector, dt, steps) -> jax.Array:
+    """How far each ball is expected to move at most, (N,) [L]; no derivative."""
+    return jax.lax.stop_gradient(jnp.sqrt(velocity.dot(velocity)) * (FASTER * dt * steps))
 
 
 def tighten(network: ContactList, displacement: Vector, allowed: jax.Array) -> Tight:
@@ -133,8 +145,9 @@ def tighten(network: ContactList, displacement: Vector, allowed: jax.Array) -> T
         **turned,
         tight=None,
     )
-    fits = (order[-1] <= length - 1) & (number.max() <= width)
-    return Tight(tight, place, found_at, still, allowed, fits)
+    closed = closing(network, still, allowed)
+    fits = (order[-1] <= length - 1) & (number.max() <= width) & (closed <= network.skin)
+    return Tight(tight, place, found_at, still, allowed, closed, fits)
 
 
 OF_CONTACTS = ("first", "second", "image", "cos", "sin", "distance", "overlap", "pair_cube", "share")

@@ -199,7 +199,7 @@ def march_until(
             state = fixed_steps(partial(step, load), network, dt, tight, state, record_every)
             tight = tight_list(network, state, dt, record_every) if tightly else None
         elif tightly:
-            worn = partial(_list_wear, network)
+            worn = WORN * network.skin
             state, taken, tight = steps_until_worn(
                 partial(step, load), network, dt, tight, state, now.due, record_every, STRIDE, worn, with_all
             )

@@ -33,12 +33,12 @@ def tight_list(network: ContactList, state: State, dt, steps: int) -> Tight:
 
 
 def observed(see: Callable[[ContactList, State], Any], network: ContactList, tight: Tight | None, state: State) -> Any:
-    """What is seen of a state with a tight list that was made for it, or with the contact list where there is none or
-    it has no room."""
+    """What is seen of a state with a tight list, or with the contact list where there is none or it does not hold."""
     if tight is None:
         return see(network, state)
     inside = state._replace(memory=tight.memory_in(state.memory))
-    return jax.lax.cond(all_of_batch(tight.fits), lambda: see(tight.network, inside), lambda: see(network, state))
+    holds = tight.holds(tight.moved(state.displacement))
+    return jax.lax.cond(all_of_batch(holds), lambda: see(tight.network, inside), lambda: see(network, state))
 
 
 def fixed_steps(step: Step, network: ContactList, dt, tight: Tight | None, state: State, steps: int) -> State:
@@ -89,44 +89,57 @@ def steps_until_worn(
     most,
     ahead: int,
     stride: int,
-    wear: Callable[[State], jax.Array],
+    worn: jax.Array | None,
     with_all: Callable[[State, jax.Array], tuple[State, jax.Array]],
 ) -> tuple[State, jax.Array, Tight]:
     """A state after `most` steps, or fewer where the contact list is worn before; how many it took; its tight list.
 
-    tight: made for the state it starts from. ahead: steps that the next ones are made for, see `tight_list`.
-    stride: steps between looks at `wear`, beyond 1 of which it ends.
+    tight: made for this contact list, which is filtered again where it will not last. ahead: steps for which, see
+    `tight_list`. worn: two balls having come closer by more it ends, None for never [L]; stride: steps between looks.
     with_all: takes so many steps, or fewer where the list is worn, with the contact list.
     """
 
     def going(carry):
         state, taken, _ = carry
-        return (taken < most) & ((taken == 0) | (wear(state) <= 1))
+        return (taken < most) & ((taken == 0) | _lasting(network, state, worn))
 
     def further(carry):
         state, taken, tight = carry
         size = jnp.minimum(STEPS, most - taken)
-        usable = tight.fits & (closing(network, state.displacement, tight.allowed) <= network.skin)
+        tight = _filtered_again(network, tight, state, dt, size, ahead)
         after, number, farthest = _until_worn(
-            lambda state: step(tight.network, state), tight,
-            state._replace(memory=tight.memory_in(state.memory)), jnp.where(usable, size, 0), stride, wear,
+            lambda state: step(tight.network, state), network, tight,
+            state._replace(memory=tight.memory_in(state.memory)), jnp.where(tight.fits, size, 0), stride, worn,
         )  # fmt: skip
-        good = usable & tight.holds(farthest)
+        good = tight.holds(farthest)
         after = after._replace(memory=tight.memory_out(after.memory, state.memory))
         state = jax.tree.map(lambda new, old: jnp.where(good, new, old), after, state)
         state, more = with_all(state, jnp.where(good, 0, size))
-        taken = taken + jnp.where(good, number, more)
-        return state, taken, tight_list(network, state, dt, ahead)
+        return state, taken + jnp.where(good, number, more), tight
 
     return jax.lax.while_loop(going, further, (state, jnp.zeros((), jnp.int32), tight))
 
 
-def _until_worn(step, tight: Tight, state: State, most, stride: int, wear):
+def _filtered_again(network: ContactList, tight: Tight, state: State, dt, steps, ahead: int) -> Tight:
+    """The tight list where it is likely to last for so many steps, or a new one."""
+    lasts = tight.lasts(state.displacement, state.velocity, dt, steps)
+    # A loop of one turn or none: a branch would copy the list that is kept.
+    new = lambda _: (tight_list(network, state, dt, ahead), jnp.ones((), bool))  # noqa: E731
+    return jax.lax.while_loop(lambda carry: ~carry[1], new, (tight, lasts))[0]
+
+
+def _lasting(network: ContactList, state: State, worn) -> jax.Array | bool:
+    return True if worn is None else closing(network, state.displacement) <= worn
+
+
+def _until_worn(step, network: ContactList, tight: Tight, state: State, most, stride: int, worn):
     """As `steps_until_worn` with one tight list; and how far each ball was from where it was made, (N,) [L^2]."""
+    # As long as the tight list holds the contact list is not worn, if it would not be at the worst.
+    stride = most if worn is None else jnp.where(tight.closed <= worn, most, stride)
 
     def going(carry):
         state, taken, _ = carry
-        return (taken < most) & ((taken == 0) | (wear(state) <= 1))
+        return (taken < most) & ((taken == 0) | _lasting(network, state, worn))
 
     def further(carry):
         state, taken, farthest = carry

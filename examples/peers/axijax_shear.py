@@ -5,10 +5,13 @@
 Started by `peers.Ours`, pinned to its cores before JAX counts them. Prints a line of JSON when it is ready, and one for
 every line of JSON on its standard input: {} runs once more, {"friction": 0.2} with that friction.
 
-Options: specimen (of fcc_octagon), order, test (of TriaxialTest), params, damping ("dashpot" or "local"), dtype, share
-(of the critical time step), lattice (rotation blocked, stiffness times ten, loaded as the infinite lattice), and
+Options: specimen (of fcc_octagon, or of a random packing: balls, radii from and to, seed, friction of its compaction),
+inertial_number (of the shear, in place of a platen speed), order, test (of TriaxialTest), params, damping ("dashpot" or
+"local"), dtype, share (of the critical time step), lattice (rotation blocked, stiffness times ten, loaded as the
+infinite lattice), and
 what: "shear" is the shear alone from the confined state, `blocks` records of 50 steps with fixed cells, as the peers do
-    it; "whole" is confinement and shear, what a user waits for; "slopes" is the shear of the test, read by peak
+    it; "run" is that by `TriaxialTest.run` to the test's strain, for random packings, whose lists have to be rebuilt;
+    "whole" is confinement and shear, what a user waits for; "slopes" is the shear of the test, read by peak
     functionals, for derivatives with respect to friction, on which the confined state does not depend.
 tangents: 0, 1 (friction) or 3 (and both stiffnesses), forward mode. reverse: for "slopes", the gradient of the window
     mean in reverse mode.
@@ -32,21 +35,41 @@ BEGAN = time.perf_counter()
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
+import peers  # noqa: E402
 
 import axijax  # noqa: E402
 from axijax.mechanics.time_step import DEFAULT_STEP  # noqa: E402
+from axijax.triaxial.engine import fixed_load, march  # noqa: E402
+from axijax.triaxial.progress import begin  # noqa: E402
+from axijax.triaxial.records import make_curve  # noqa: E402
+from axijax.triaxial.stages import start_shear  # noqa: E402
 
 LARGE = 3000  # balls from which the search for the critical step takes longer than what is timed
 DIRECTIONS = ("friction", "normal_stiffness", "shear_stiffness")
 
 
+def make_specimen(options, sector):
+    """The lattice, or a random packing; and the friction with which it was compacted."""
+    asked = dict(options.get("specimen", {}))
+    if "balls" not in asked:
+        return axijax.fcc_octagon(**asked), 0.0
+    smallest, largest = asked.pop("radii", (20.0, 20.0))
+    grading = axijax.grading.uniform(smallest) if smallest == largest else axijax.grading.linear(smallest, largest)
+    friction = asked.pop("friction", 0.05)
+    specimen, _ = axijax.random_cylinder(asked.pop("balls"), sector, grading, compaction_friction=friction, **asked)
+    return specimen, friction
+
+
 def make_test(options) -> axijax.TriaxialTest:
-    specimen = axijax.fcc_octagon(**options.get("specimen", {}))
     sector = axijax.Sector(options.get("order", 4))
+    specimen, compacted_with = make_specimen(options, sector)
     scene = axijax.Scene()
     damping = {"dashpot": {}, "local": {"damping": axijax.LocalDamping()}}[options.get("damping", "dashpot")]
     params = axijax.Params(**damping, **options.get("params", {}))
+    if "inertial_number" in options:
+        params = replace(params, platen_speed=axijax.platen_speed(options["inertial_number"], specimen, params))
     keywords = {"tolerance": 1e-2, "dtype": np.dtype(options.get("dtype", "float64")).type, **options.get("test", {})}
+    keywords["confining_friction"] = compacted_with
     if options.get("lattice"):
         from axijax.mechanics.lattice_load import lattice_load
 
@@ -54,7 +77,7 @@ def make_test(options) -> axijax.TriaxialTest:
         stiffness = 10 * params.normal_stiffness
         params = replace(params, normal_stiffness=stiffness, shear_stiffness=stiffness)
         keywords["lateral_load"] = lattice_load(specimen, sector)
-    if len(specimen) // sector.order >= LARGE:
+    if len(specimen) // sector.order >= LARGE and not compacted_with:
         # The critical step of the lattice is that of a few layers of it.
         small = axijax.TriaxialTest(axijax.fcc_octagon(layers=7), axijax.Sector(4), scene, params)
         known = {"time_step": small.prepared.time_step, "allow_unsafe_step": True}
@@ -70,6 +93,11 @@ def functionals(curve):
     return jnp.stack([HardPeak()(curve), WindowMean()(curve)])
 
 
+def _steps(run, test) -> int:
+    """How many a run's shear took."""
+    return round(float(run.state.time) / test.prepared.time_step)
+
+
 class Program:
     """A compiled run: arguments kept, called with a friction."""
 
@@ -77,6 +105,9 @@ class Program:
         self.test = test = make_test(options)
         self.options = options
         params = jax.tree.map(lambda x: jnp.asarray(x, test.dtype), test.params)
+        if options.get("what") == "run":
+            self._run(options, test)
+            return
         if options.get("what", "shear") in ("whole", "batch"):
             function, rest = (lambda params: test.simulate(params)), ()
         else:
@@ -86,11 +117,19 @@ class Program:
         self.compiled = jax.jit(self._many(self._differentiated(function))).lower(*self.arguments).compile()
         self.compile_seconds = time.perf_counter() - began
 
-    def _shear(self, options, test):
-        from axijax.triaxial.engine import fixed_load, march
-        from axijax.triaxial.records import make_curve
-        from axijax.triaxial.stages import start_shear
+    def _run(self, options, test):
+        """The shear by `run`, from the confined state without springs."""
+        start = begin(test, test.params)
+        state = start.state._replace(memory=jax.tree.map(jnp.zeros_like, start.state.memory))
+        start = start._replace(state=state)
+        if "scene" in options:
+            peers.write_scene(Path(options["scene"]), test, start.network, state, start.fixed)
+        self.compiled, self.arguments = lambda params: test.run(start=start), (None,)
+        began = time.perf_counter()
+        self.steps = _steps(self(), test)
+        self.compile_seconds = time.perf_counter() - began
 
+    def _shear(self, options, test):
         confined, balance = test.confine()
         prepared = test.prepared
         state = start_shear(test.scene, test.params, prepared.lists, confined)
@@ -98,9 +137,7 @@ class Program:
         records = prepared.numerics.records if slopes else options["blocks"]
         fixed = fixed_load(slopes and test.refresh, prepared.lateral_load, prepared.lists, state)
         if "scene" in options:
-            import peers
-
-            peers.write_scene(Path(options["scene"]), test, state, fixed)
+            peers.write_scene(Path(options["scene"]), test, prepared.network, state, fixed)
         self.steps = records * test.record_every
 
         def function(params, prepared, state, fixed):
@@ -153,8 +190,11 @@ class Program:
 
     def describe(self):
         """What is known before a run: balls, steps, seconds, memory, the program's traffic."""
-        memory = self.compiled.memory_analysis()
-        held = memory.temp_size_in_bytes + memory.argument_size_in_bytes + memory.output_size_in_bytes
+        held = {}
+        if hasattr(self.compiled, "memory_analysis"):
+            memory = self.compiled.memory_analysis()
+            sizes = memory.temp_size_in_bytes, memory.argument_size_in_bytes, memory.output_size_in_bytes
+            held = {"program_bytes": sum(sizes)}
         return {
             "version": f"axijax, jax {jax.__version__}",
             "device": jax.devices()[0].device_kind,
@@ -164,7 +204,7 @@ class Program:
             "time_step": self.test.prepared.time_step,
             "compile_seconds": self.compile_seconds,
             "setup_seconds": time.perf_counter() - BEGAN - self.compile_seconds,
-            "program_bytes": held,
+            **held,
             "resident_bytes": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
             **({"traffic": self.traffic()} if self.options.get("traffic") else {}),
         }
@@ -218,7 +258,7 @@ def timed(program: Program, options, friction):
         return batch(program, tests)
     threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
     together = tests > 1 and jax.default_backend() == "cpu"
-    runs, began = 0, time.perf_counter()
+    runs, began, spent = 0, time.perf_counter(), time.process_time()
     with ThreadPoolExecutor(threads) as pool:
         while True:
             results = list(pool.map(program, [friction] * tests)) if together else [program(friction)]
@@ -226,8 +266,13 @@ def timed(program: Program, options, friction):
             seconds = time.perf_counter() - began
             if seconds > least:
                 break
-    reply, result = {"seconds": seconds / runs}, results[0]
+    reply, result = {"seconds": seconds / runs, "cpu_seconds": (time.process_time() - spent) / runs}, results[0]
     what = options.get("what", "shear")
+    if what == "run":
+        curve = result.curve
+        steps = _steps(result, program.test)
+        shown = {name: np.asarray(getattr(curve, name)).tolist() for name in ("axial_strain", "stress_ratio")}
+        return reply | {"steps": steps, "records": len(curve.axial_strain)} | shown
     if what == "slopes" and options.get("reverse"):
         value, gradient = result
         reply |= {"window": value, "window_slope": gradient.friction}

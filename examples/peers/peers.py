@@ -22,7 +22,10 @@ LAMMPS, YADE = "LAMMPS", "YADE"
 
 
 class Shear(NamedTuple):
-    """What a peer did: strain and stress ratio at its records [-], seconds of the steps and of what came before."""
+    """What a peer did: strain and stress ratio at its records [-], seconds of the steps and of what came before.
+
+    cpu_seconds: of the processor, of one process; NaN where a peer does not say.
+    """
 
     axial_strain: np.ndarray
     stress_ratio: np.ndarray
@@ -30,6 +33,7 @@ class Shear(NamedTuple):
     seconds: float
     setup_seconds: float
     version: str
+    cpu_seconds: float = float("nan")
 
 
 def missing() -> dict[str, str]:
@@ -42,13 +46,15 @@ def missing() -> dict[str, str]:
     return lacking
 
 
-def write_scene(path: Path, test, state, load) -> None:
-    """Write what a peer needs: the confined state of a full cylinder (sector order 1, equal balls) and the numbers.
+def write_scene(path: Path, test, network, state, load) -> None:
+    """Write what a peer needs: the confined state of a full cylinder (sector order 1) without its springs, and the
+    numbers, those of rolling resistance too where the test has it. Our own shear must start without springs as well.
 
-    test: an axijax.TriaxialTest with Sector(1); state: from `test.confine()`; load: the membrane's at that state.
+    test: an axijax.TriaxialTest with Sector(1); network, state: its contact list and state once confined; load: the
+        membrane's at that state.
     """
-    if test.sector.order != 1 or np.ptp(test.cut.radius) > 0:
-        raise ValueError("peers take the full cylinder (sector order 1) of equal balls.")
+    if test.sector.order != 1:
+        raise ValueError("peers take the full cylinder (sector order 1).")
     from axijax.core.quantity import values_of
     from axijax.mechanics.damping import LocalDamping
     from axijax.mechanics.dynamics import positions
@@ -59,33 +65,7 @@ def write_scene(path: Path, test, state, load) -> None:
     numbers |= {name: float(value) for name, value in values_of(params).items()}
     np.savez(
         path,
-        positions=np.asarray(positions(test.network, state)),
-        radius=test.cut.radius[0],
-        platens=np.asarray(state.platens),
-        membrane_force=float(params.confining_stress) * np.asarray(load.lateral),
-        section=float(load.section),
-        time_step=test.prepared.time_step,
-        ramp_time=test.prepared.shear.ramp_time,
-        **numbers,
-    )
-
-
-def write_packing(path: Path, test, state, load) -> None:
-    """Write what YADE needs of any full cylinder, unequal balls too: the confined state without its springs, and the
-    numbers, those of rolling resistance too where the test has it.
-
-    Arguments as in `write_scene`; our own shear must start without springs as well.
-    """
-    if test.sector.order != 1:
-        raise ValueError("peers take the full cylinder (sector order 1).")
-    from axijax.core.quantity import values_of
-    from axijax.mechanics.dynamics import positions
-
-    params = test.params
-    numbers = {name: float(value) for name, value in values_of(params).items()}
-    np.savez(
-        path,
-        positions=np.asarray(positions(test.network, state)),
+        positions=np.asarray(positions(network, state)),
         radius=test.cut.radius,
         platens=np.asarray(state.platens),
         membrane_force=float(params.confining_stress) * np.asarray(load.lateral),
@@ -98,12 +78,12 @@ def write_packing(path: Path, test, state, load) -> None:
 
 def run_peer(
     code: str, scene: Path, steps: int, cores: tuple[int, ...] = (0,), record: int = 50, damping: str = "dashpot",
-    time_step: float | None = None, speed: float | None = None, lammps: str = "lammps_shear.py",
+    time_step: float | None = None, speed: float | None = None, pair: str | None = None,
 ) -> Shear:  # fmt: skip
     """Shear a scene in another code on the given cores; one rank (LAMMPS) or thread (YADE) a core.
 
     damping: "dashpot" (LAMMPS only) or "local". time_step [T], speed of each platen [L/T]: the scene's unless given.
-    lammps: the script that drives LAMMPS.
+    pair: of LAMMPS, "gran" or "granular", see `lammps_shear`.
 
     Raises RuntimeError with the end of the peer's output where it fails.
     """
@@ -111,7 +91,8 @@ def run_peer(
     for name, value in (("--time-step", time_step), ("--speed", speed)):
         options += [name, repr(float(value))] if value is not None else []
     if code == LAMMPS:
-        command = [sys.executable, str(HERE / lammps), *options]
+        options += [] if pair is None else ["--pair", pair]
+        command = [sys.executable, str(HERE / "lammps_shear.py"), *options]
         if len(cores) > 1:
             command = [str(Path(sys.executable).parent / "mpiexec"), "-n", str(len(cores)), *command]
     else:

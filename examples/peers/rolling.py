@@ -90,10 +90,10 @@ def shear(specimen, pair, options, compaction_friction, codes) -> dict[str, tupl
     }
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "scene.npz"
-        peers.write_packing(scene, test, start.state, start.fixed)
+        peers.write_scene(scene, test, start.network, start.state, start.fixed)
         steps = test.prepared.numerics.records * test.record_every
         for code in codes:
-            done = peers.run_peer(code, scene, steps, damping="local", lammps="lammps_rolling.py")
+            done = peers.run_peer(code, scene, steps, damping="local")
             curves[code] = done.axial_strain, done.stress_ratio
     return curves
 
