@@ -8,6 +8,7 @@ which jvp, vmap, jit and scan see nothing new.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 from functools import partial
 
 import jax
@@ -15,6 +16,9 @@ import jax.numpy as jnp
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
+# Of indices that are known to be places: XLA then neither clamps them nor makes an array of its own of each, counted
+# from the end where it is negative.
+IN_BOUNDS: Any = {"mode": "promise_in_bounds", "wrap_negative_indices": False}
 Arrays = Sequence[jax.Array]
 Linear = Callable[[Arrays, Arrays], Arrays]
 
@@ -101,12 +105,12 @@ def taken(values: Arrays, index: jax.Array, place: jax.Array, there: jax.Array) 
 
 def _take(fixed, values):
     index, _, _ = fixed
-    return [each.at[index].get(mode="promise_in_bounds") for each in values]
+    return [each.at[index].get(**IN_BOUNDS) for each in values]
 
 
 def _give_back(fixed, values):
     _, place, there = fixed
-    return [jnp.where(there, each.at[place].get(mode="promise_in_bounds"), 0) for each in values]
+    return [jnp.where(there, each.at[place].get(**IN_BOUNDS), 0) for each in values]
 
 
 def gathered(values: Arrays, index: jax.Array) -> list[jax.Array]:
@@ -120,7 +124,7 @@ def gathered(values: Arrays, index: jax.Array) -> list[jax.Array]:
 
 def _gather(fixed, values):
     index, _ = fixed
-    return [each.at[index].get(mode="promise_in_bounds") for each in values]
+    return [each.at[index].get(**IN_BOUNDS) for each in values]
 
 
 def added(values: jax.Array, index: jax.Array, size: int, moment: jax.Array) -> jax.Array:
@@ -145,14 +149,14 @@ def _take_added(fixed, values):
 def _sum_gathered(fixed, values):
     index, places = fixed
     order = jnp.argsort(index.ravel())
-    values = [each.ravel().at[order].get(mode="promise_in_bounds") for each in values]
+    values = [each.ravel().at[order].get(**IN_BOUNDS) for each in values]
     ordered = index.ravel()[order]
     first, after = (jnp.searchsorted(ordered, places, side=side) for side in ("left", "right"))
 
     def further(carry):
         row, sums = carry
         here = jnp.minimum(first + row, order.size - 1)
-        found = [each.at[here].get(mode="promise_in_bounds") for each in values]
+        found = [each.at[here].get(**IN_BOUNDS) for each in values]
         return row + 1, [jnp.where(first + row < after, old + new, old) for old, new in zip(sums, found, strict=True)]
 
     start = jnp.zeros((), first.dtype), [jnp.zeros(places.shape, each.dtype) for each in values]

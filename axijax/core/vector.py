@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from axijax.core.gather import IN_BOUNDS
+
 
 def per_root(square: jax.Array) -> jax.Array:
     """1/sqrt(square). Written like this since XLA makes a reciprocal root of that one, which its CPU compiler computes
@@ -61,9 +63,7 @@ class Vector:
 
     def at(self, index: jax.Array) -> "Vector":
         """The vectors at these places, which must all exist."""
-        # Without wrapping, or the compiler keeps an index of its own for every component.
-        taken = {"mode": "promise_in_bounds", "wrap_negative_indices": False}
-        return self.map(lambda component: component.at[index].get(**taken))
+        return self.map(lambda component: component.at[index].get(**IN_BOUNDS))
 
 
 def from_rows(rows) -> Vector:

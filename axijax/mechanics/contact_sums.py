@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import jax
 import jax.numpy as jnp
 
-from axijax.core.gather import Arrays, linear
+from axijax.core.gather import IN_BOUNDS, Arrays, linear
 from axijax.core.vector import Vector
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def on_balls(network: "ContactList", vectors: Vector, reaction: float) -> list[j
 def _axial(network: "ContactList") -> jax.Array:
     """Contacts of a ball off the axis with one on it, which are in a slot of that one for each image; (C,) bool."""
     on_axis = network.free.x == 0
-    first, second = (on_axis.at[ball].get(mode="promise_in_bounds") for ball in (network.first, network.second))
+    first, second = (on_axis.at[ball].get(**IN_BOUNDS) for ball in (network.first, network.second))
     return second & ~first
 
 
@@ -56,7 +56,7 @@ def _own_mirror(network: "ContactList") -> jax.Array:
 
 def _at_ends(fixed, values):
     first, second, *_ = fixed
-    return [each.at[ball].get(mode="promise_in_bounds") for ball in (first, second) for each in values]
+    return [each.at[ball].get(**IN_BOUNDS) for ball in (first, second) for each in values]
 
 
 def _from_ends(fixed, values):
@@ -70,7 +70,7 @@ def _from_ends(fixed, values):
     index = slot + first.size * (side < 0)
 
     def summed(one, other):
-        there = jnp.concatenate([one, other]).at[index].get(mode="promise_in_bounds")
+        there = jnp.concatenate([one, other]).at[index].get(**IN_BOUNDS)
         return jnp.where(side != 0, there, 0).sum(axis=0)
 
     return [summed(*each) for each in zip(ours, theirs, strict=True)]
