@@ -8,8 +8,8 @@ which jvp, vmap, jit and scan see nothing new.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
