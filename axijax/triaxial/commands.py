@@ -29,6 +29,7 @@ STIFF = 2.0  # of a membrane that holds a lateral strain, over the specimen's st
 GIVING = 5.0  # times faster than what lets a wave pass, that the platens give way to an error
 CATCHING = 0.5  # share of what the lateral strain of the record is off, that is taken over with each record
 LASTING = 4.0  # times that a wave crosses, within which the membrane takes a lasting error away
+MOST = 0.3  # share of an error in speed that the membrane takes away in one step
 FASTEST = 10.0  # times the platen speed, that platens may run after a stress
 QUIET = 0.25  # times the rate of stress at which the platen speed loads an elastic specimen; where none is given
 BRAKE = 0.6  # of the rate at which speed is gained, at which it is lost
@@ -43,6 +44,8 @@ class Start(NamedTuple):
     axial_strain, lateral_strain: natural [-]. axial_stress, lateral_stress, pore_pressure [F/L^2].
     stiffness: against a wave, rho c^2 [F/L^2]; impedance: rho c [F T/L^3]. axial_time, lateral_time: in which a wave
     passes the height and the radius; ramp: in which a speed is reached [T].
+    lightness: rate of lateral strain that a lateral stress gives to the balls under the membrane in a unit of time, if
+    nothing else acts on them [L^2/(F T^2)].
     speed: platen speed of the parameters [L/T]. confining_stress: theirs too [F/L^2].
     """
 
@@ -56,6 +59,7 @@ class Start(NamedTuple):
     impedance: jax.Array
     axial_time: jax.Array
     lateral_time: jax.Array
+    lightness: jax.Array
     ramp: jax.Array
     speed: jax.Array
     confining_stress: jax.Array
@@ -220,11 +224,17 @@ class Pressed(Platens):
         return None if self.axial_stress is None else memory.there
 
 
+def lets_pass(now: Now, start: Start) -> jax.Array:
+    """Lateral stress for an error in the rate of lateral strain that lets a wave pass, rho c times the radius; no more
+    than takes away half of the error in a step, or in large steps it would grow [F T/L^2]."""
+    return jnp.minimum(start.stiffness * start.lateral_time, MOST / (start.lightness * now.dt))
+
+
 def quieted(now: Now, start: Start, mean):
     """The stress by which the membrane damps what oscillates about its mean motion, or a wave between platens and
     membrane would grow; and the mean rate of lateral strain one step later."""
     mean = mean + (now.lateral_rate - mean) * now.dt / (LASTING * start.lateral_time)
-    return start.stiffness * start.lateral_time * (mean - now.lateral_rate), mean
+    return lets_pass(now, start) * (mean - now.lateral_rate), mean
 
 
 class Membrane:
@@ -328,8 +338,11 @@ class Sideways(Membrane):
         apart = start.lateral_strain + self.share * (now.axial_strain - start.axial_strain) - now.lateral_strain
         rate = self.share * now.axial_rate - now.lateral_rate
         error = start.stiffness * apart
-        lasting = memory + STIFF * error * now.dt / (0.5 * LASTING * start.lateral_time)
-        pressed = lasting + STIFF * error + start.stiffness * start.lateral_time * rate
+        damping = lets_pass(now, start)
+        # What is damped by less than half as much would swing.
+        slower = jnp.minimum(2 * damping / (start.stiffness * start.lateral_time), 1.0)
+        lasting = memory + STIFF * error * now.dt / (0.5 * LASTING * start.lateral_time) * slower
+        pressed = lasting + STIFF * error + damping * rate
         return pressed, lasting, start.lateral_stress + start.pore_pressure - pressed, error
 
 

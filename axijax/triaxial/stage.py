@@ -107,6 +107,14 @@ class StageMemory(NamedTuple):
     last: Looked
 
 
+def _inward(network, load, state):
+    """The membrane's force on each ball for a lateral stress of one (N,) [L^2], and its moment about the axis, negative
+    [L^3]."""
+    place = positions(network, state)
+    inward = lateral_force(1.0, load, place)
+    return inward, (network.weight * inward.dot(place)).sum()
+
+
 @pytree
 @dataclass(frozen=True)
 class Stage(Path):
@@ -127,6 +135,8 @@ class Stage(Path):
         speed = wave_speed(pressed, network)
         mass = params.material.mass_per_cube * (network.weight * network.radius**3).sum()
         density = mass / (load.section * height)
+        inward, arm = _inward(network, load, state)
+        each = params.material.mass_per_cube * network.radius**3
         start = Start(
             shortening=loading.height - height,
             axial_strain=jnp.log(loading.height / height),
@@ -138,6 +148,7 @@ class Stage(Path):
             impedance=density * speed,
             axial_time=height / speed,
             lateral_time=jnp.sqrt(2 * load.section / network.sector.angle) / speed,
+            lightness=-(network.weight * inward.dot(inward) / each).sum() / arm,
             ramp=8 * height / speed,
             speed=jnp.asarray(params.platen_speed, height.dtype),
             confining_stress=jnp.asarray(params.confining_stress, height.dtype),
@@ -174,8 +185,7 @@ class Stage(Path):
         before, memory = state.loading, state.loading.memory
         now = self._now(params, dt, state, push, load.section)
         if self._keeps_strain:
-            inward, place = lateral_force(1.0, load, positions(network, state)), positions(network, state)
-            arm = (network.weight * inward.dot(place)).sum()
+            inward, arm = _inward(network, load, state)
             rate = -(network.weight * inward.dot(state.velocity)).sum() / arm
             now = now._replace(lateral_rate=rate, lateral_strain=now.lateral_strain + dt * rate)
         start = memory.start
