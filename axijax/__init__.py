@@ -20,7 +20,7 @@ else:
 
 if _TYPE_CHECKING:
     from axijax import theory
-    from axijax.core.platform import PLAIN_CPU_KERNELS, fast_cpu_kernels, use_compilation_cache
+    from axijax.core.platform import fast_cpu_kernels, plain_cpu_kernels, use_compilation_cache
     from axijax.core.sector import Sector
     from axijax.mechanics.damping import BackgroundDamping, Dashpot, LocalDamping
     from axijax.mechanics.dynamics import Scene
@@ -43,7 +43,7 @@ if _TYPE_CHECKING:
 
 # The module that each public name is in.
 _HOMES = {
-    "core.platform": ("PLAIN_CPU_KERNELS", "fast_cpu_kernels", "use_compilation_cache"),
+    "core.platform": ("fast_cpu_kernels", "plain_cpu_kernels", "use_compilation_cache"),
     "core.sector": ("Sector",),
     "mechanics.damping": ("BackgroundDamping", "Dashpot", "LocalDamping"),
     "mechanics.dynamics": ("Scene",),
@@ -68,7 +68,6 @@ _HOMES = {
 _MODULES = ("batch", "case", "checkpoint", "grading", "results", "theory")
 
 __all__ = [
-    "PLAIN_CPU_KERNELS",
     "BackgroundDamping",
     "Curve",
     "Dashpot",
@@ -96,6 +95,7 @@ __all__ = [
     "packing",
     "packing_of",
     "peak_of",
+    "plain_cpu_kernels",
     "platen_speed",
     "prepare",
     "raise_for_status",

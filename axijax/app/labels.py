@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from axijax import theory
-from axijax.app.results import Result
+from axijax.app.results import Result, numbers_beside
 from axijax.core.files import printable
 from axijax.core.palette import COLOURS, STYLES
 
@@ -71,8 +71,7 @@ def _fields(result: Result) -> dict[str, Any]:
     beside those of a batch."""
     case = case_of(result)
     if case is None:
-        scalars = {name: each for name, each in result.curve.coords.items() if not each.ndim}
-        return {f"batch.{name}": each.item() for name, each in scalars.items() if each.dtype.kind in "fi"}
+        return {f"batch.{name}": value for name, value in numbers_beside(result.curve).items()}
     return {f"{part}.{name}": value for part, fields in case.sections().items() for name, value in fields.items()}
 
 

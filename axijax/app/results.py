@@ -301,16 +301,19 @@ def _along_strain(curve: "xarray.Dataset") -> "xarray.Dataset":
 
 
 def _read_members(path: Path) -> list[Result]:
-    """The members of a batch."""
-    from axijax.app.batch_files import PEAK, open_batch
+    """The members of a batch that have finished, by number."""
+    files = sorted((path / "members").glob("[!.]*.nc"))
+    if not files:
+        raise ValueError(f"result '{path}' is a batch of which no member has finished yet.")
+    results = [Result(path, name, curve, "finished", {}) for file in files for name, curve in _read_curves(file)]
+    return sorted(results, key=lambda result: list(numbers_beside(result.curve).values()))
 
-    together = open_batch(path).drop_vars([*PEAK, "seconds"])
-    results = []
-    for name in together.member.values:
-        one = together.sel(member=name).drop_vars("member")
-        one = one.isel(record=np.isfinite(one[STRAIN].values))
-        results.append(Result(path, str(name), _along_strain(one), "finished", {}))
-    return results
+
+def numbers_beside(curve: "xarray.Dataset") -> dict[str, float]:
+    """The numbers by which a file of several curves, such as a batch's, tells this one from the others."""
+    return {
+        str(name): each.item() for name, each in curve.coords.items() if not each.ndim and each.dtype.kind in "fi"
+    }
 
 
 def _read_curves(path: Path) -> list[tuple[str, "xarray.Dataset"]]:
@@ -321,6 +324,9 @@ def _read_curves(path: Path) -> list[tuple[str, "xarray.Dataset"]]:
     try:
         with xarray.open_dataset(path, engine="scipy") as file:
             curves = file.load()
+        if "member" in curves.dims:
+            curves = curves.rename(member="run")
+        labels = json.loads(curves.attrs.get("labels", "[]"))
         names = [str(name) for name in curves["run"].values]
         held = quantities_of(curves)
         missing = next((name for name in held if name not in curves), None)
@@ -329,7 +335,8 @@ def _read_curves(path: Path) -> list[tuple[str, "xarray.Dataset"]]:
         numbers = [*held, *(name for name in CONFINEMENT if name in curves)]
         known = known and all(curves[name].dtype.kind in "fi" for name in numbers)
         for number, name in enumerate(names if known else ()):
-            run = curves.isel(run=number, drop=True)
+            run = curves.isel(run=number)
+            run = run.drop_vars([each for each in run.coords if not run[each].ndim and each not in labels])
             runs.append((name, _along_strain(run.isel(record=np.isfinite(run[STRAIN].values)))))
     except Exception:  # the readers of SciPy and xarray raise whatever a damaged file leads them to
         known = False

@@ -16,9 +16,6 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 FUSION_OPTION = "xla_cpu_use_multi_output_fusion"
-# For `jax.jit(..., compiler_options=...)`: compiled as if the fast kernels were off. (There is no option for a single
-# program that switches them on: XLA refuses `xla_backend_extra_options` there, in jax 0.10.)
-PLAIN_CPU_KERNELS = {"xla_disable_hlo_passes": "cpu_multi_output_fusion"}
 CACHE_VARIABLE = "AXIJAX_CACHE"
 CACHE_BYTES = 512 * 2**20  # a test's programs take a third of a megabyte; the oldest go where there is more than this
 CHECKED = ".checked"  # a file as old as the last look for damaged programs
@@ -32,7 +29,7 @@ def fast_cpu_kernels() -> bool:
     by itself. It acts on every program of the process, and in the XLA of jax 0.10 it has a defect: a program that adds
     into one-dimensional arrays by index (two `jax.ops.segment_sum`, or `jax.grad` through `x[index]`) may end the
     process while it is compiled. Nothing of this package does that, in reverse mode neither. A program of your own that
-    does is compiled without it by `jax.jit(f, compiler_options=axijax.PLAIN_CPU_KERNELS)`.
+    does is compiled without it by `jax.jit(f, compiler_options=axijax.plain_cpu_kernels())`.
     """
     from jax._src import xla_bridge
 
@@ -43,6 +40,15 @@ def fast_cpu_kernels() -> bool:
         return False
     os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options={FUSION_OPTION}=true".strip()
     return True
+
+
+def plain_cpu_kernels() -> dict[str, str]:
+    """For `jax.jit(..., compiler_options=...)`: compiled as if the fast kernels were off.
+
+    There is no option for a single program that switches them on: XLA refuses `xla_backend_extra_options` there, in
+    jax 0.10.
+    """
+    return {"xla_disable_hlo_passes": "cpu_multi_output_fusion"}
 
 
 def warn_where_slow() -> None:

@@ -8,9 +8,8 @@ at rigid sector planes) and cut at the platens by mirror points, so that they ti
 
 SciPy triangulates the zone on the host (`build_membrane`); from that triangulation `cell_areas` finds the cells'
 areas at later positions inside jit, with exact derivatives, and `membrane_force` consumes the areas. The force
-points from the ball's current position to the axis: with directions frozen at the start, the specimen would
-spin up about its axis. It has no vertical component unless the scene asks for a force normal to the membrane's
-surface, see `axijax.mechanics.membrane_surface`.
+points from the ball's current position to the axis: with directions frozen at the start, the specimen would spin
+up about its axis. A force normal to the membrane's surface, with a part along z, is in `membrane_surface`.
 """
 
 from dataclasses import dataclass, field, replace

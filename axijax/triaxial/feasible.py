@@ -53,7 +53,8 @@ def pressed_in(radii: np.ndarray, params: Params) -> float:
 def _grading_missed(grading: Grading, fractions: list[Fraction], in_sector: int, order: int) -> list[str]:
     """Sentences on the fractions that miss the mass asked for; ValueError where one gets no ball."""
     empty = [each for each in fractions if each.wanted > 0 and each.balls == 0]
-    worst = max(fractions, key=lambda each: abs(each.got - each.wanted), default=None)
+    # Of two fractions that miss by as much, the finer.
+    worst = max(fractions, key=lambda each: round(abs(each.got - each.wanted), 9), default=None)
     if not empty and (worst is None or abs(worst.got - worst.wanted) <= WELL_MET):
         return []
     enough = grading.enough(in_sector)
