@@ -47,6 +47,17 @@ def width_of_a_pipe():
     os.environ.pop("COLUMNS", None)
 
 
+# Modules whose programs are many and run briefly: compiled in haste, which saves a quarter to a half of their time.
+HASTY = ("test_case", "test_forecast", "test_gather", "test_own_packing", "test_random_packing", "test_reverse_mode")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def haste(request):
+    jax.config.update("jax_disable_most_optimizations", request.path.stem in HASTY)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
 @pytest.fixture(scope="module", autouse=True)
 def few_mappings():
     """A process may map some 65,000 pieces of memory (Linux), of which each compiled program takes several: a worker

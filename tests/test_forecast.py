@@ -109,11 +109,12 @@ def test_a_grading_that_is_not_met_and_friction_below_that_of_the_compaction(tmp
     path = write(tmp_path / "gap.toml", GAP)
     case = load_case(path)
     told = forecast(case, measure=False).warnings
-    radii = case.build().cut.radius
+    filled, specimen, report = case.made()
+    radii = filled.build(specimen).cut.radius
     got = 100 * (radii[radii < 20] ** 3).sum() / (radii**3).sum()
     assert sum(f"have {got:.3g} % of the mass, where 30 % is asked for" in text for text in told) == 1, told
     assert sum("friction 0.04 is below the friction 0.05 of the compaction" in text for text in told) == 1, told
-    kept = packing_values(case.made()[2])
+    kept = packing_values(report)
     assert kept["deviation"] == pytest.approx(abs(got - 30) / 100) and kept["warnings"][0] in told
     even = SimpleNamespace(core_ratio=np.ones(1))
     checks = {each.name: each for each in _packing_checks(SimpleNamespace(info={"packing": kept}, curve=even))}
