@@ -29,7 +29,7 @@ STIFF = 2.0  # of a membrane that holds a lateral strain, over the specimen's st
 GIVING = 5.0  # times faster than what lets a wave pass, that the platens give way to an error
 CATCHING = 0.5  # share of what the lateral strain of the record is off, that is taken over with each record
 LASTING = 4.0  # times that a wave crosses, within which the membrane takes a lasting error away
-MOST = 0.3  # share of an error in speed that the membrane takes away in one step
+MOST = 0.4  # share of an error in speed that the membrane may take away in one step
 FASTEST = 10.0  # times the platen speed, that platens may run after a stress
 QUIET = 0.25  # times the rate of stress at which the platen speed loads an elastic specimen; where none is given
 BRAKE = 0.6  # of the rate at which speed is gained, at which it is lost
@@ -225,9 +225,12 @@ class Pressed(Platens):
 
 
 def lets_pass(now: Now, start: Start) -> jax.Array:
-    """Lateral stress for an error in the rate of lateral strain that lets a wave pass, rho c times the radius; no more
-    than takes away half of the error in a step, or in large steps it would grow [F T/L^2]."""
-    return jnp.minimum(start.stiffness * start.lateral_time, MOST / (start.lightness * now.dt))
+    """Lateral stress for an error in the rate of lateral strain that lets a wave pass, rho c times the radius
+    [F T/L^2]. Less where that would take away more than MOST of the error in a step, and the less the longer the step:
+    it comes a step late, when balls that turn back within a few steps have turned."""
+    whole = start.stiffness * start.lateral_time
+    share = whole * start.lightness * now.dt
+    return whole * jnp.minimum((MOST / share) ** 1.5, 1.0)
 
 
 def quieted(now: Now, start: Start, mean):
