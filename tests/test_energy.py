@@ -183,7 +183,8 @@ def test_a_sectors_terms_are_its_share_of_the_full_cylinders(made, damping, orde
 
     (start, change), *others = (terms(order) for order in orders)
     assert start[:3].min() > 0, "moving and pressed"
-    taking_part = [part for name, part in zip(EnergyBalance._fields, change, strict=True) if not name.startswith("fluid")]
+    named = zip(EnergyBalance._fields, change, strict=True)
+    taking_part = [part for name, part in named if not name.startswith("fluid")]
     assert (np.abs(taking_part) > 1e-7).all(), "every term takes part"
     for start_n, change_n in others:
         np.testing.assert_allclose(start_n, start, rtol=1e-11)
