@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -180,7 +181,7 @@ class MeasuredCurve:
         if not self.unloading:
             return self
         kept = advancing(self.axial_strain)
-        spread = {
+        spread: dict[str, Any] = {
             name: value if np.ndim(value) == 0 else np.asarray(value)[kept]
             for name, value in (("ratio_sigma", self.ratio_sigma), ("volume_sigma", self.volume_sigma))
         }

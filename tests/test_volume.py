@@ -261,8 +261,8 @@ def counted(places, radius, platens, step):
 
 @pytest.mark.slow
 def test_a_widely_graded_specimen_against_its_solids(tmp_path):
-    """Loose, Cu = 2.2, to 10 %: within 0.7 % of strain of the count, which finds its own skin; two counts differ by half
-    a per cent with how deep they begin. The mean distance of the outer balls was wrong by 4 to 5 %."""
+    """Loose, Cu = 2.2, to 10 %: within 0.7 % of strain of the count, which finds its own skin; two counts differ by
+    half a per cent with how deep they begin. The mean distance of the outer balls was wrong by 4 to 5 %."""
     path = tmp_path / "sand.csv"
     path.write_text("opening,passing\n20,0\n25,10\n40,35\n55,60\n65,100\n")
     sector, friction = Sector(5), 0.5

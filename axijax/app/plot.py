@@ -81,7 +81,8 @@ def curve_figure(results: Sequence[Result], data: Measured | None = None) -> Fig
     specimen is an FCC array; measured data as points."""
     figure = Figure(figsize=(5.6, 6.6), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    lines, ideal = Lines(results), {}
+    lines = Lines(results)
+    ideal: dict[str, tuple[float, str]] = {}
     for number, (result, name, style) in enumerate(lines.each):
         curve, case = result.curve, case_of(result)
         strain = 100 * curve.axial_strain.values

@@ -306,7 +306,7 @@ def carry(old: ContactList, new: ContactList, values: Any) -> Any:
     place, known = places_in(old, new)
     parts, structure = jax.tree.flatten(values)
     found = taken(parts, place, *places_in(new, old))
-    return structure.unflatten([jnp.where(known, part, jnp.zeros((), part.dtype)) for part in found])
+    return jax.tree.unflatten(structure, [jnp.where(known, part, jnp.zeros((), part.dtype)) for part in found])
 
 
 def carry_memory(old: ContactList, new: ContactList, memory: tuple["Memory", ...]) -> tuple["Memory", ...]:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def at_ends(network: "ContactList", numbers: Arrays) -> list[jax.Array]:
     """Numbers of the balls, arrays (N,), at the contacts' first balls, and then all of them at the second; (C,)."""
-    tables = network.first, network.second, network.slot, network.side
+    tables: tuple[jax.Array, ...] = (network.first, network.second, network.slot, network.side)
     if network.sector.images > 1:
         share = jnp.where(_axial(network), 1 / network.sector.images, 1.0)
         tables = *tables, share.astype(network.dtype), _own_mirror(network)

@@ -53,7 +53,7 @@ class Tight(NamedTuple):
         """The terms' memory, with that of contacts for this list; it was made for the contact list."""
         kept = self.found_at < self.place.size - 1
         parts, structure = jax.tree.flatten([each.contact for each in memory])
-        inside = structure.unflatten(taken(parts, self.place, self.found_at, kept))
+        inside = jax.tree.unflatten(structure, taken(parts, self.place, self.found_at, kept))
         return tuple(each._replace(contact=contact) for each, contact in zip(memory, inside, strict=True))
 
     def memory_out(self, memory: tuple[Memory, ...], before: tuple[Memory, ...]) -> tuple[Memory, ...]:
@@ -62,7 +62,7 @@ class Tight(NamedTuple):
         parts, structure = jax.tree.flatten([each.contact for each in memory])
         old = jax.tree.leaves([each.contact for each in before])
         found = taken(parts, self.found_at, self.place, real)
-        outside = structure.unflatten([jnp.where(kept, *each) for each in zip(found, old, strict=True)])
+        outside = jax.tree.unflatten(structure, [jnp.where(kept, *each) for each in zip(found, old, strict=True)])
         return tuple(each._replace(contact=contact) for each, contact in zip(memory, outside, strict=True))
 
     def moved(self, displacement: Vector) -> jax.Array:

@@ -132,7 +132,7 @@ def _lasting(network: ContactList, state: State, worn) -> jax.Array | bool:
     return True if worn is None else closing(network, state.displacement) <= worn
 
 
-def _until_worn(step, network: ContactList, tight: Tight, state: State, most, stride: int, worn):
+def _until_worn(step, network: ContactList, tight: Tight, state: State, most, stride: Any, worn):
     """As `steps_until_worn` with one tight list; and how far each ball was from where it was made, (N,) [L^2]."""
     # As long as the tight list holds the contact list is not worn, if it would not be at the worst.
     stride = most if worn is None else jnp.where(tight.closed <= worn, most, stride)
