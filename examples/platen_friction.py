@@ -146,13 +146,18 @@ def table(options) -> list[dict]:
         sound = [figures_of(each) for each in found if "failed" not in each]
         if not sound:
             continue
-        row = dict(zip(("order", "platen friction", "membrane"), kind, strict=True)) | {"runs": len(sound)}
-        for name in sound[0]:
-            values = np.array([each[name] for each in sound])
-            row[name] = float(values.mean())
-            row[f"{name} +-"] = float(values.std(ddof=1) / len(values) ** 0.5) if len(values) > 1 else float("nan")
-        rows.append(row)
+        rows.append(dict(zip(("order", "platen friction", "membrane"), kind, strict=True)) | means(sound))
     return rows
+
+
+def means(sound: list[dict]) -> dict:
+    """How many runs there are, and of each of their numbers the mean and its standard error."""
+    row: dict = {"runs": len(sound)}
+    for name in sound[0]:
+        values = np.array([each[name] for each in sound])
+        row[name] = float(values.mean())
+        row[f"{name} +-"] = float(values.std(ddof=1) / len(values) ** 0.5) if len(values) > 1 else float("nan")
+    return row
 
 
 def write_table(rows: list[dict], path: Path) -> None:

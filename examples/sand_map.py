@@ -20,6 +20,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+from platen_friction import means
 
 # Compaction frictions: void ratios of about 0.58 and 0.68, the larger of these further apart from seed to seed.
 DENSITIES = {"dense": 0.05, "medium": 0.3}
@@ -37,7 +38,6 @@ NUMBERS = {
     "peak": "peak friction angle [degrees]",
     "dilatancy": "dilatancy rate at the peak [-]",
     "strain": "axial strain at the peak [%]",
-    "large": "friction angle at the end [degrees]",
 }
 
 
@@ -110,12 +110,7 @@ def table(options) -> list[dict]:
         sound = [each for each in found if "failed" not in each]
         if not sound:
             continue
-        row = {"density": density, "friction": friction, "rolling_friction": rolling, "runs": len(sound)}
-        for name in sound[0]:
-            values = np.array([each[name] for each in sound])
-            row[name] = float(values.mean())
-            row[f"{name} +-"] = float(values.std(ddof=1) / len(values) ** 0.5) if len(values) > 1 else float("nan")
-        rows.append(row)
+        rows.append({"density": density, "friction": friction, "rolling_friction": rolling} | means(sound))
     return rows
 
 

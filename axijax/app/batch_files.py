@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from axijax.app.results import curves_dataset, save_dataset, save_table
+from axijax.app.results import MEMBERS, curves_dataset, member_files, save_dataset, save_table
 from axijax.core.files import remove_leftovers, writable_folder, write_whole
 from axijax.core.fingerprint import differences, fingerprint, versions
 from axijax.core.quantity import values_of
@@ -25,7 +25,6 @@ from axijax.triaxial.test import TriaxialTest
 if TYPE_CHECKING:
     import xarray
 
-MEMBERS = "members"  # the folder of the members' files
 FAILED = ".failed.json"
 SUMMARY = "summary.csv"
 READ_ERRORS = (OSError, TypeError, ValueError, KeyError, IndexError, AttributeError, EOFError, MemoryError)
@@ -113,7 +112,7 @@ def open_batch(folder: Path | str) -> "xarray.Dataset":
 
     Raises ValueError where there are none.
     """
-    files = _files(Path(folder))
+    files = member_files(Path(folder))
     if not files:
         raise ValueError(f"folder '{folder}' holds no finished member of a batch.")
     return joined(sorted(map(_load, files), key=_place))
@@ -161,7 +160,7 @@ def write_summary(folder: Path) -> None:
     the last one's is complete.
     """
     while True:
-        files, failed = _files(folder), sorted((folder / MEMBERS).glob(f"[!.]*{FAILED}"))
+        files, failed = member_files(folder), sorted((folder / MEMBERS).glob(f"[!.]*{FAILED}"))
         rows: list[dict[str, Any]] = []
         names: dict[str, None] = {}
         for data in sorted(map(_load, files), key=_place):
@@ -174,7 +173,7 @@ def write_summary(folder: Path) -> None:
         some_ended = ["ended"] if any("ended" in row for row in rows) else []
         columns = ("member", *names, *PEAK, "seconds", *some_ended, "failure")
         save_table(folder / SUMMARY, columns, [dict.fromkeys(columns) | row for row in rows])
-        if (files, failed) == (_files(folder), sorted((folder / MEMBERS).glob(f"[!.]*{FAILED}"))):
+        if (files, failed) == (member_files(folder), sorted((folder / MEMBERS).glob(f"[!.]*{FAILED}"))):
             return
 
 
@@ -210,11 +209,6 @@ def _identity_in(file: Path, data: "xarray.Dataset") -> Any:
 
 def _file(folder: Path, name: str) -> Path:
     return folder / MEMBERS / f"{slug(name)}.nc"
-
-
-def _files(folder: Path) -> list[Path]:
-    """Finished members; a name that begins with a dot is being written, or was when its process was killed."""
-    return sorted((folder / MEMBERS).glob("[!.]*.nc"))
 
 
 def _load(file: Path) -> "xarray.Dataset":

@@ -37,6 +37,7 @@ CONFINEMENT = {
     "confinement_steps": "steps taken by confinement",
 }
 
+MEMBERS = "members"  # the folder of a batch's files
 STRAIN = "axial_strain"
 
 # How a run can stand; `run.json` says which.
@@ -210,7 +211,7 @@ def open_results(path: str | Path) -> list[Result]:
         return [Result(path, name, curve, "finished", {}) for name, curve in _read_curves(path)]
     if not path.is_dir():
         raise ValueError(f"result '{path}' does not exist: give the folder that `axijax run` made, or its curve.nc.")
-    if (path / "members").is_dir():
+    if (path / MEMBERS).is_dir():
         return _read_members(path)
     info = read_info(path)
     # A run that went wrong keeps its curve, faulty end and all, under another name.
@@ -300,9 +301,14 @@ def _along_strain(curve: "xarray.Dataset") -> "xarray.Dataset":
     return curve.set_coords(STRAIN).swap_dims(record=STRAIN)
 
 
+def member_files(folder: Path) -> list[Path]:
+    """Finished members of a batch; a name that begins with a dot is being written, or was when its process died."""
+    return sorted((folder / MEMBERS).glob("[!.]*.nc"))
+
+
 def _read_members(path: Path) -> list[Result]:
     """The members of a batch that have finished, by number."""
-    files = sorted((path / "members").glob("[!.]*.nc"))
+    files = member_files(path)
     if not files:
         raise ValueError(f"result '{path}' is a batch of which no member has finished yet.")
     results = [Result(path, name, curve, "finished", {}) for file in files for name, curve in _read_curves(file)]
