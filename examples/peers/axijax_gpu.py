@@ -372,7 +372,7 @@ def random_test(folder: Path) -> axijax.TriaxialTest:
         bottom, top = float(kept["bottom"]), float(kept["top"])
     specimen = axijax.Specimen(**arrays, bottom=bottom, top=top, name="random", zone_rule="exposure")
     params = axijax.Params(friction=0.3, rolling=axijax.Rolling(rolling_friction=0.1))
-    keywords = {"axial_strain": 0.003, "tolerance": 1e-4, "confining_friction": 0.05}
+    keywords = {"axial_strain": 0.003, "tolerance": 1e-3, "confining_friction": 0.05}
     return axijax.TriaxialTest(specimen, axijax.Sector(1), params=params, **keywords)
 
 
