@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from axijax import Params, Scene, Sector, TriaxialTest, fcc_octagon, raise_for_status
+from axijax import Params, Scene, Sector, TriaxialTest, fcc_octagon, raise_for_status, stage
 from axijax.mechanics.lattice_load import lattice_load
 
 FRICTIONS = (0.0, 0.05, 0.12278, 0.3)
@@ -42,6 +42,17 @@ def blocked() -> TriaxialTest:
 @pytest.mark.parametrize("friction", FRICTIONS)
 def test_lattice_without_rotation_reaches_the_formula(blocked, friction):
     assert peak(blocked, friction) == pytest.approx(formula(friction), rel=5e-3)
+
+
+@pytest.mark.parametrize("lateral", ["constant_p", "constant_volume"])
+def test_the_path_does_not_change_the_strength(blocked, lateral):
+    """s3 falls at constant p and grows at constant volume; the ratio at failure is the formula's."""
+    way = replace(blocked, stages=(stage("compression", lateral=lateral, axial_strain=8e-4),))
+    for friction in (0.12278, 0.3):
+        run = replace(way, params=replace(blocked.params, friction=friction)).run()
+        assert not run.ended
+        assert np.max(run.curve.stress_ratio) == pytest.approx(formula(friction), rel=5e-3)
+        assert abs(np.log(run.curve.lateral_stress[-1] / blocked.params.confining_stress)) > 0.3
 
 
 def test_lattice_load_balances_itself():
