@@ -12,6 +12,7 @@ from pathlib import Path
 import axijax  # isort: skip  (before jax: it quietens XLA)
 import jax
 import pytest
+from hasty import hasty
 
 axijax.fast_cpu_kernels()
 
@@ -47,15 +48,14 @@ def width_of_a_pipe():
     os.environ.pop("COLUMNS", None)
 
 
-# Modules whose programs are many and run briefly: compiled in haste, which saves a quarter to a half of their time.
-HASTY = ("test_case", "test_forecast", "test_gather", "test_own_packing", "test_random_packing", "test_reverse_mode")
+# Modules whose programs run long, or that are about how programs are compiled.
+THOROUGH = ("test_platform", "test_table1", "test_symmetry", "test_thornton", "test_gradients", "test_volume")
 
 
 @pytest.fixture(scope="module", autouse=True)
 def haste(request):
-    jax.config.update("jax_disable_most_optimizations", request.path.stem in HASTY)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
+    with hasty(request.path.stem not in THOROUGH):
+        yield
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -17,7 +17,6 @@ ROOT = Path(__file__).parents[1]
 GUIDE = ROOT / "examples" / "guide"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "examples").glob("*.md")), *sorted(GUIDE.glob("*.md"))]
 PAGES += [ROOT / ".github" / "CONTRIBUTING.md"]
-PAPERS_QUARTER = ("first_test", "reading_a_curve", "batch")  # tutorials with its 427 balls
 TUTORIALS = sorted(path.stem for path in GUIDE.glob("*.py") if path.read_text().startswith("# %%"))
 
 
@@ -26,18 +25,13 @@ TUTORIALS = sorted(path.stem for path in GUIDE.glob("*.py") if path.read_text().
 
 @pytest.fixture(scope="module")
 def told(tmp_path_factory):
-    """Name of a tutorial -> what it printed, in a folder of its own. Programs of those with few balls are compiled in
-    haste, as they run briefly."""
+    """Name of a tutorial -> what it printed, in a folder of its own."""
 
     def run(name: str) -> str:
         out = io.StringIO()
-        jax.config.update("jax_disable_most_optimizations", name not in PAPERS_QUARTER)
-        try:
-            with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out):
-                patch.chdir(tmp_path_factory.mktemp(name))
-                runpy.run_path(str(GUIDE / f"{name}.py"), run_name="__main__")
-        finally:
-            jax.config.update("jax_disable_most_optimizations", False)
+        with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(out):
+            patch.chdir(tmp_path_factory.mktemp(name))
+            runpy.run_path(str(GUIDE / f"{name}.py"), run_name="__main__")
         return out.getvalue()
 
     matplotlib.use("Agg")
