@@ -6,7 +6,6 @@ import re
 import runpy
 from pathlib import Path
 
-import jax
 import matplotlib
 import pytest
 
