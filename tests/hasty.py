@@ -1,7 +1,7 @@
 """Programs compiled in haste: most of a test's time goes into compiling a program that then runs for a second.
 
-XLA's older emitters without optimisation compile a test's programs in a third of the time; they run at two thirds of the
-speed. Results differ in rounding only.
+XLA's older emitters without optimisation compile a test's programs in a third of the time; they run at two thirds of
+the speed. Results differ in rounding only.
 """
 
 from contextlib import contextmanager

@@ -219,9 +219,8 @@ def statics(test, stands):
 
 def changes(curve, first, last):
     """Of both natural strains and both stresses between two records."""
-    radius, ratio, s3 = (
-        np.asarray(values)[[first, last]] for values in (curve.membrane_radius, curve.stress_ratio, curve.lateral_stress)
-    )
+    kept = curve.membrane_radius, curve.stress_ratio, curve.lateral_stress
+    radius, ratio, s3 = (np.asarray(values)[[first, last]] for values in kept)
     axial = -np.diff(np.log1p(-np.asarray(curve.axial_strain)[[first, last]]))[0]
     return np.array([axial, -np.diff(np.log(radius))[0]]), np.diff([ratio * s3, s3], axis=1)[:, 0]
 
