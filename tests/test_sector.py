@@ -131,6 +131,21 @@ def test_the_sector_holds_its_share_of_every_ball(order):
     np.testing.assert_allclose(network.weight, np.where(on_axis, 1 / order, 1.0), rtol=1e-15)
 
 
+def test_between_rigid_planes_a_random_specimen_keeps_the_balls_that_press_into_them():
+    """A soft ball a third of its radius deep; a full cylinder is cut to the balls that lie wholly inside."""
+    sector = Sector(4, "rigid")
+    places = np.array([[13.4, 60.0, 60.0], [60.0, 60.0, 25.0], [30.0, 30.0, 30.0]])
+
+    def random(places):
+        count = places.shape[1]
+        rest = {"membrane_zone": np.ones(count, bool), "zone_rule": "exposure", "bottom": 0.0, "top": 60.0}
+        return Specimen(positions=places, radius=np.full(count, 20.0), name="random", **rest)
+
+    assert len(cut_to_sector(random(places), sector)) == 3
+    whole = np.concatenate([sector.rotate(places, turn) for turn in range(4)], axis=1)
+    np.testing.assert_array_equal(cut_to_sector(random(whole), sector).positions, places[:, 1:])
+
+
 # A pair that orbits the axis.
 
 ORBIT_RADIUS = 12.0

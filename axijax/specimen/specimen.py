@@ -109,16 +109,17 @@ def cut_to_sector(specimen: Specimen, sector: Sector) -> Specimen:
     """The part of a full cylinder that lies in the sector 0 <= theta < 2*pi/n.
 
     Periodic planes keep the balls whose centre is inside, plus those on the axis; a centre on a plane counts
-    once (theta = 0). Rigid planes keep the balls that lie wholly inside: there is no room for the others.
+    once (theta = 0). Rigid planes keep the balls that lie wholly inside: there is no room for the others. Of a random
+    specimen that was made between the planes all are kept.
 
     Raises ValueError where the specimen is not the same after a turn by 2*pi/n (periodic planes), or nothing is left.
     """
     positions, radius = specimen.positions, specimen.radius
     if sector.boundary == "rigid":
-        # Balls of a random specimen that was compacted between the planes press a little into them.
-        pressed = 0.05 if specimen.zone_rule == "exposure" else 1e-9
-        inside = (plane_normals(sector) @ positions[:2] > radius * (1 - pressed)).all(axis=0)
-        kept = inside & (sector.angle_of(positions) < sector.angle)
+        depth = plane_normals(sector) @ positions[:2]
+        if specimen.zone_rule == "exposure" and (depth > -radius).all():
+            return specimen  # compacted between these planes, into which its balls press, soft ones deeply
+        kept = (depth > radius * (1 - 1e-9)).all(axis=0) & (sector.angle_of(positions) < sector.angle)
         if not kept.any():
             raise ValueError(
                 f"sector order = {sector.order} with rigid planes: no ball of '{specimen.name}' lies wholly between "
