@@ -4,6 +4,7 @@ import contextlib
 import io
 import re
 import runpy
+import sys
 from pathlib import Path
 
 import jax
@@ -15,8 +16,9 @@ import calibrate
 
 ROOT = Path(__file__).parents[1]
 GUIDE = ROOT / "examples" / "guide"
-PAGES = [ROOT / "README.md", *sorted((ROOT / "examples").glob("*.md")), *sorted(GUIDE.glob("*.md"))]
-PAGES += [ROOT / ".github" / "CONTRIBUTING.md"]
+sys.path.insert(0, str(GUIDE))
+from run_pages import PAGES  # noqa: E402
+
 PAPERS_QUARTER = ("first_test", "reading_a_curve", "batch")  # tutorials with its 427 balls
 TUTORIALS = sorted(path.stem for path in GUIDE.glob("*.py") if path.read_text().startswith("# %%"))
 

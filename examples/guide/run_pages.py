@@ -164,7 +164,7 @@ def plain_shell(folder: Path) -> dict[str, str]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("page", nargs="*", help="names of pages; left out: all that have blocks")
-    parser.add_argument("--environment", type=Path, help="virtual environment for the guide's pages, instead of a new one")
+    parser.add_argument("--environment", type=Path, help="folder of a virtual environment for the guide's pages")
     asked = parser.parse_args()
     known = {page.name: page for page in reversed(PAGES) if page.name != "README.md" or page == README}
     if unknown := set(asked.page) - set(known):
