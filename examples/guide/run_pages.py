@@ -182,7 +182,7 @@ def main() -> int:
             subprocess.run([str(asked.environment / "bin" / "pip"), "install", "-q", str(clone)], check=True, env=shell)
         for group in together(pages):
             done += run(group, None if group[0] == README else asked.environment.resolve(), folder)
-    print("\nblock, seconds")
+    print("\nblock, seconds", flush=True)
     for block, seconds, failed in done:
         print(f"{block.name:28s} {'-' if seconds is None else f'{seconds:.1f}':>7s}{'  FAILED' if failed else ''}")
     for page in (page for group in together(pages) for page in group):
