@@ -281,6 +281,8 @@ INFO: dict[str, tuple[Callable[[Any], bool], str]] = {
     "snapshots": (lambda v: isinstance(v, int) and _is_number(v) and 0 <= v <= MOST_SNAPSHOTS, "a whole number"),
 }
 MOST_SNAPSHOTS = 100_000
+# What a run needs to be resumed; the rest is only there where it was asked for.
+NEEDED = tuple(name for name in INFO if name != "full")
 
 
 def _is_number(value) -> bool:

@@ -143,7 +143,7 @@ def read_info(folder: Path) -> dict[str, Any]:
     """What run.json says. Raises ValueError where there is none, or it is damaged."""
     if not (Path(folder) / "run.json").is_file():
         raise ValueError(f"'{folder}' is no result of axijax: it holds no run.json.")
-    return results.read_info(folder, needed=tuple(results.INFO))
+    return results.read_info(folder, needed=results.NEEDED)
 
 
 def _strain_wanted(folder: Path, info: dict[str, Any], reached: float, wanted: float | None) -> float:
