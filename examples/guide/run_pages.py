@@ -161,6 +161,17 @@ def plain_shell(folder: Path) -> dict[str, str]:
     return {**kept, **new, "PATH": os.pathsep.join(path), "TERM": "dumb", "PYTHONUNBUFFERED": "1"}
 
 
+def tell(done: Sequence[Done], skipped: Sequence[Block]) -> None:
+    """A table of what was run and what was not."""
+    print("\nblock, seconds")
+    for block, seconds, failed in done:
+        print(f"{block.name:28s} {'-' if seconds is None else f'{seconds:.1f}':>7s}{'  FAILED' if failed else ''}")
+    for block in skipped:
+        print(f"{block.name:28s}       -  skipped: {block.skipped}")
+    failures = sum(each.failed for each in done)
+    print(f"{len(done)} blocks, {failures} failed, {sum(each.seconds or 0 for each in done):.0f} s", flush=True)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("page", nargs="*", help="names of pages; left out: all that have blocks")
@@ -182,16 +193,8 @@ def main() -> int:
             subprocess.run([str(asked.environment / "bin" / "pip"), "install", "-q", str(clone)], check=True, env=shell)
         for group in together(pages):
             done += run(group, None if group[0] == README else asked.environment.resolve(), folder)
-    print("\nblock, seconds", flush=True)
-    for block, seconds, failed in done:
-        print(f"{block.name:28s} {'-' if seconds is None else f'{seconds:.1f}':>7s}{'  FAILED' if failed else ''}")
-    for page in (page for group in together(pages) for page in group):
-        for block in blocks(page):
-            if block.skipped:
-                print(f"{block.name:28s}       -  skipped: {block.skipped}")
-    failures = sum(each.failed for each in done)
-    print(f"{len(done)} blocks, {failures} failed, {sum(each.seconds or 0 for each in done):.0f} s")
-    return 1 if failures else 0
+        tell(done, [block for group in together(pages) for page in group for block in blocks(page) if block.skipped])
+    return 1 if any(each.failed for each in done) else 0
 
 
 if __name__ == "__main__":
