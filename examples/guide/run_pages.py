@@ -33,16 +33,18 @@ PAGES += (ROOT / ".github" / "CONTRIBUTING.md",)
 # Variables that a plain shell keeps of the one that this is started from; paths into its environment go.
 KEPT = ("HOME", "LANG", "LC_ALL", "TMPDIR", "PIP_", "SSL_", "REQUESTS_CA", "HTTP", "NO_PROXY", "http", "no_proxy")
 
-# Blocks of Python, one after another in one interpreter, as at a prompt.
+# Blocks of Python, one after another in one interpreter, as at a prompt; in a namespace of their own, as any name may be
+# theirs.
 PYTHON = """
-import sys, time
+import sys, time, types
 report = sys.argv[1]
+sys.modules["__main__"] = page = types.ModuleType("__main__")
 for key, path in zip(sys.argv[2::2], sys.argv[3::2]):
     source = open(path, encoding="utf-8").read()
     print(f"\\n---- {key}\\n{source}----", flush=True)
     begin, status = time.time(), 1
     try:
-        exec(compile(source, key, "exec"), globals())
+        exec(compile(source, key, "exec"), vars(page))
         status = 0
     finally:
         sys.stdout.flush()
