@@ -84,7 +84,8 @@ def test_the_script_that_runs_pages(tmp_path, capfd, monkeypatch):
     """Of a repository with pages of our own: what is shared, what is skipped and named, what has failed."""
     first, second = tmp_path / "first.md", tmp_path / "second.md"
     first.write_text(
-        "```sh\nnumber=3; echo from $number > made.txt\n```\n```python\nreport = 4\n```\n```python\nprint(report + 1)\n```\n"
+        "```sh\nnumber=3; echo from $number > made.txt\n```\n```python\nreport = 4\n```\n"
+        "```python\nprint(report + 1)\n```\n"
         "```sh\n# needs a GPU\nexit 1\n```\n```text\nno command\n```\n"
     )
     second.write_text("These lines go on\nfrom [the first](first.md).\n```sh\ncat made.txt $number\n```\n")

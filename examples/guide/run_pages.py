@@ -33,8 +33,7 @@ PAGES += (ROOT / ".github" / "CONTRIBUTING.md",)
 # Variables that a plain shell keeps of the one that this is started from; paths into its environment go.
 KEPT = ("HOME", "LANG", "LC_ALL", "TMPDIR", "PIP_", "SSL_", "REQUESTS_CA", "HTTP", "NO_PROXY", "http", "no_proxy")
 
-# Blocks of Python, one after another in one interpreter, as at a prompt; in a namespace of their own, as any name may be
-# theirs.
+# Blocks of Python, one after another in one interpreter, as at a prompt; all names are theirs.
 PYTHON = """
 import sys, time, types
 report = sys.argv[1]
