@@ -267,5 +267,6 @@ CASES = {
     "--outptu": (lambda folder, _: ("run", folder / "a.toml", "--outptu", "out"), ["--outptu", "--output"]),
     "--axial-strain much": (lambda folder, _: ("resume", folder, "--axial-strain", "much"), ["--axial-strain", "much"]),
     "--snapshots -1": (lambda folder, _: ("run", folder / "a.toml", "--snapshots", "-1"), ["--snapshots", "-1"]),
+    "--full alone": (lambda folder, _: ("run", write(folder / "a.toml"), "--full"), ["--full", "add --snapshots"]),
 }
 USAGE = ("axijax rnu", "axijax run", "--outptu", "--axial-strain much", "--snapshots -1")

@@ -4,6 +4,7 @@ import contextlib
 import io
 import re
 import runpy
+import sys
 from pathlib import Path
 
 import matplotlib
@@ -14,8 +15,9 @@ import calibrate
 
 ROOT = Path(__file__).parents[1]
 GUIDE = ROOT / "examples" / "guide"
-PAGES = [ROOT / "README.md", *sorted((ROOT / "examples").glob("*.md")), *sorted(GUIDE.glob("*.md"))]
-PAGES += [ROOT / ".github" / "CONTRIBUTING.md"]
+sys.path.insert(0, str(GUIDE))
+from run_pages import PAGES  # noqa: E402
+
 TUTORIALS = sorted(path.stem for path in GUIDE.glob("*.py") if path.read_text().startswith("# %%"))
 
 

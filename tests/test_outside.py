@@ -24,6 +24,8 @@ from axijax.triaxial.stages import simulate, start_shear
 from calibrate import Datum
 
 PAGE = Path(__file__).parent.parent / "examples" / "where_to_add.md"
+sys.path.insert(0, str(PAGE.parent / "guide"))
+from run_pages import blocks  # noqa: E402
 
 # Small programs that run briefly: not worth optimising.
 jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
@@ -32,8 +34,7 @@ jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 def code_of_the_page() -> types.ModuleType:
     module = types.ModuleType("where_to_add")
     sys.modules[module.__name__] = module  # where dataclasses look for it
-    blocks = PAGE.read_text(encoding="utf-8").split("```python\n")[1:]
-    exec("\n".join(block.split("```")[0] for block in blocks), vars(module))
+    exec("\n".join(block.text for block in blocks(PAGE, "python")), vars(module))
     return module
 
 

@@ -1,4 +1,5 @@
-"""Every command and every Python block of README and guide runs, one after another as a reader would paste them."""
+"""Every command and every Python block of README and guide runs, one after another as a reader would paste them, for
+small specimens; examples/guide/run_pages.py, which reads the pages for this too, runs them as they are printed."""
 
 import os
 import re
@@ -15,27 +16,27 @@ from axijax.app import case
 from axijax.app.case import Case, SpecimenCase, default_case
 
 ROOT = Path(__file__).parents[1]
-README = (ROOT / "README.md").read_text()
 GUIDE = ROOT / "examples" / "guide"
+sys.path.insert(0, str(GUIDE))
+import run_pages  # noqa: E402
+
+README = run_pages.README
 LONGEST = 1500  # words of the README
 
-# Commands that run elsewhere: the first two blocks in .ci/run, the table's rows in test_cli.py; a sand's fit, with the
-# same options, in test_calibrate_random.py; the shell's own state; and the site, which needs what tests do not install.
+# Commands that run elsewhere: the first block in .ci/run, the table's rows in test_cli.py; a sand's fit, with the same
+# options, in test_calibrate_random.py; and the shell's own state.
 SAND_FIT = "axijax calibrate results/sketch"
-ELSEWHERE = ("python3 -m venv", ".venv/bin/", "source .venv", "axijax table1", "pip install", SAND_FIT)
+ELSEWHERE = ("python3 -m venv", "source .venv", SAND_FIT)
 
-# Pages whose commands go on from one another in one folder, in this order.
+# Pages whose commands go on from one another in one folder, after the README's.
 COMMANDS = ("first_case.md", "calibration.md", "results.md")
 # What may end with exit code 1 here: the check of a specimen so small says what is wrong with it.
 MAY_DOUBT = ("axijax check results/first",)
 
 
-def blocks(language: str, text: str = README) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
-
-
-def page(name: str) -> str:
-    return (GUIDE / name).read_text()
+def blocks(language: str, page: Path = README) -> list[str]:
+    """Of what is run on a page; "text" for what it says is printed."""
+    return [block.text for block in run_pages.blocks(page, language) if not block.skipped]
 
 
 def small_case(kind: str) -> Case:
@@ -49,7 +50,8 @@ def small_case(kind: str) -> Case:
 def first_case(tmp_path_factory):
     """The folder after all `sh` blocks, for a small specimen instead of the paper's; what each command printed."""
     folder = tmp_path_factory.mktemp("readme")
-    lines = "".join(blocks("sh") + [block for name in COMMANDS for block in blocks("sh", page(name))]).splitlines()
+    pages = [README, *(GUIDE / name for name in COMMANDS)]
+    lines = "".join(block for page in pages for block in blocks("sh", page)).splitlines()
     printed = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(case, "default_case", small_case)
@@ -69,7 +71,37 @@ def first_case(tmp_path_factory):
 
 
 def test_the_readme_is_short():
-    assert len(README.split()) <= LONGEST
+    assert len(README.read_text().split()) <= LONGEST
+
+
+def test_pages_that_share_a_shell():
+    assert run_pages.together([GUIDE / "results.md", README, GUIDE / "calibration.md"]) == [
+        [GUIDE / "first_case.md", GUIDE / "results.md", GUIDE / "calibration.md"], [README],
+    ]  # fmt: skip
+
+
+def test_the_script_that_runs_pages(tmp_path, capfd, monkeypatch):
+    """Of a repository with pages of our own: what is shared, what is skipped and named, what has failed."""
+    first, second = tmp_path / "first.md", tmp_path / "second.md"
+    first.write_text(
+        "```sh\nnumber=3; echo from $number > made.txt\n```\n```python\nreport = 4\n```\n"
+        "```python\nprint(report + 1)\n```\n"
+        "```sh\n# needs a GPU\nexit 1\n```\n```text\nno command\n```\n"
+    )
+    second.write_text("These lines go on\nfrom [the first](first.md).\n```sh\ncat made.txt $number\n```\n")
+    for command in ("init -q", "add .", "-c user.name=a -c user.email=a@b commit -q -m pages"):
+        subprocess.run(["git", *command.split()], cwd=tmp_path, check=True)
+    monkeypatch.setattr(run_pages, "ROOT", tmp_path)
+    (group,) = run_pages.together([second])
+    folder = tmp_path / "runs"
+    folder.mkdir()
+    done = run_pages.run(group, None, folder)
+    assert [(each.block.name, each.failed) for each in done] == [
+        ("first.md:2", False), ("first.md:5", False), ("first.md:8", False), ("second.md:4", True),
+    ]  # fmt: skip
+    assert all(each.seconds is not None for each in done)
+    printed = capfd.readouterr().out
+    assert "from 3\n" in printed and "\n5\n" in printed and "first.md:11 skipped: needs a GPU" in printed
 
 
 def test_commands_of_the_first_case(first_case):
@@ -108,7 +140,7 @@ def test_commands_of_the_results_page(first_case):
 
 def test_what_check_prints_is_what_the_guide_shows():
     """Names and order of the lines; times and memory are those of one machine."""
-    shown = blocks("text", page("first_case.md"))[0].splitlines()
+    shown = blocks("text", GUIDE / "first_case.md")[0].splitlines()
     import contextlib
     import io
 
@@ -125,14 +157,15 @@ def test_what_check_prints_is_what_the_guide_shows():
     ]
 
 
-# Run one page after another in one process, so that what one compiled serves the next; each page with names of its own.
+# Pages one after another in one process, so that what one compiled serves the next; each with names of its own.
 PAGES = """
-import matplotlib, re, sys
+import matplotlib, sys
+from pathlib import Path
 matplotlib.use("Agg")
+import run_pages
 for path in sys.argv[1:]:
     print("page", path)
-    with open(path) as file:
-        source = "\\n".join(re.findall(r"```python\\n(.*?)```", file.read(), re.DOTALL))
+    source = "\\n".join(block.text for block in run_pages.blocks(Path(path), "python") if not block.skipped)
     exec(compile(source, path, "exec"), {"__name__": "__main__"})
 """
 
@@ -140,18 +173,18 @@ for path in sys.argv[1:]:
 @pytest.fixture(scope="module")
 def python_blocks(first_case):
     folder, _ = first_case
-    # PHYSICS shows formulas; where_to_add.md is run by test_outside.py. What a page says again has been run already.
-    found = [ROOT / "README.md", *sorted(each for each in GUIDE.glob("*.md") if blocks("python", each.read_text()))]
+    # where_to_add.md is run by test_outside.py. What a page says again has been run already.
     pages: dict[tuple[str, ...], Path] = {}
-    for each in found:
-        pages.setdefault(tuple(blocks("python", each.read_text())), each)
+    for each in run_pages.PAGES:
+        if each.name != "where_to_add.md" and (found := blocks("python", each)):
+            pages.setdefault(tuple(found), each)
     cache = {  # of compiled programs, of which other tests need some; scripts have none unless they ask for it
         "JAX_COMPILATION_CACHE_DIR": jax.config.values["jax_compilation_cache_dir"],
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.05",
     }
     result = subprocess.run(
-        [sys.executable, "-c", PAGES, *map(str, pages.values())],
-        capture_output=True, text=True, cwd=folder, timeout=400, env={**os.environ, **cache, "PYTHONPATH": str(ROOT)},
+        [sys.executable, "-c", PAGES, *map(str, pages.values())], capture_output=True, text=True, cwd=folder,
+        timeout=400, env={**os.environ, **cache, "PYTHONPATH": os.pathsep.join((str(ROOT), str(GUIDE)))},
     )  # fmt: skip
     assert result.returncode == 0, result.stdout[-2000:] + result.stderr
     printed = dict(re.findall(r"^page (\S+)\n(.*?)(?=^page |\Z)", result.stdout, re.DOTALL | re.MULTILINE))
@@ -159,7 +192,7 @@ def python_blocks(first_case):
 
 
 def test_the_page_on_python_begins_with_the_readmes_blocks():
-    assert blocks("python", page("python.md"))[:2] == blocks("python")
+    assert blocks("python", GUIDE / "python.md")[:2] == blocks("python")
 
 
 def test_the_ten_lines_and_the_derivative(python_blocks):
@@ -181,5 +214,5 @@ def test_python_blocks_of_the_pages(python_blocks):
 
 
 def test_ci_runs_the_readmes_test_command():
-    command = re.search(r"```sh\n(.*pytest)\n```", README).group(1)
+    (command,) = (line for block in run_pages.blocks(README) for line in block.text.splitlines() if "pytest" in line)
     assert command in (ROOT / ".ci" / "run").read_text()

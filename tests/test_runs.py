@@ -10,14 +10,16 @@ import time
 import tomllib
 
 import jax
+import meshio
 import numpy as np
 import pytest
 from cli_in_process import SMALL, axijax, write
 
-from axijax.app import runs
+from axijax.app import animation, runs
 from axijax.app.case import Case, load_case
 from axijax.app.results import open_result
 from axijax.app.runs import run_case
+from axijax.app.snapshot import snapshot
 
 FILES = {"case.toml", "run.json", "checkpoint.npz", "curve.nc", "curve.csv", "curve.png"}
 LONGER = SMALL.replace("0.012", "0.016")
@@ -178,8 +180,13 @@ def test_json_lines_tell_every_stage(tmp_path):
 
 def test_snapshots_are_spread_over_the_shear(finished, tmp_path):
     folder = tmp_path / "small"
-    assert axijax("run", write(tmp_path / "small.toml"), "--output", folder, "--snapshots", 3).code == 0
-    assert len(list((folder / "snapshots").glob("balls_*.vtu"))) == 3
+    assert axijax("run", write(tmp_path / "small.toml"), "--output", folder, "--snapshots", 3, "--full").code == 0
+    assert len(list((folder / "snapshots-full").glob("balls_*.vtu"))) == 3 and not (folder / "snapshots").exists()
+    result = open_result(folder)
+    made = meshio.read(folder / "snapshots-full" / "balls_0002.vtu")
+    whole = snapshot(result.test, result.progress, full=True).balls
+    assert len(made.points) == whole.number.size > len(result.test.cut)
+    assert [place.shape[1] for _, place in animation._frames(result)] == 3 * [len(result.test.cut)], "for a film"
     assert_same_result(folder, finished[0])
     assert runs._snapshot_strains(3, 0.01, 0.0) == [0.0, 0.005, 0.01]
     assert runs._snapshot_strains(3, 0.01, 0.006) == [0.01] and runs._snapshot_strains(1, 0.01, 0.0) == [0.01]

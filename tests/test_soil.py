@@ -6,7 +6,8 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
+from matplotlib import colormaps
+from matplotlib.colors import to_hex, to_rgba
 
 from axijax import Params, theory
 from axijax.app import plot
@@ -207,6 +208,26 @@ def test_rowes_line_and_the_curve_are_where_they_belong(several):
     assert rowe[1, 1] / rowe[1, 0] == pytest.approx(1.3 / 0.7)  # R = 2 (1 + f)/(1 - f) at D = 2
     curve = lines["test 0"]
     np.testing.assert_allclose(curve[:, 0], 1 - 0.1 + 8 * several[0].curve.axial_strain, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["q-eps", "stress-dilatancy", "mohr"])
+def test_many_results_of_one_differing_number_share_a_scale(several, kind):
+    """Seven frictions: a colour of the scale for each test and for what is drawn with it, none with a name."""
+    results, frictions = [], [0.1 + 0.05 * k for k in range(7)]
+    for friction in frictions:
+        one = replace(several[0])
+        parameters = several[0].case.parameters.model_copy(update={"friction": friction})
+        one.__dict__["case"] = several[0].case.model_copy(update={"parameters": parameters})
+        results.append(one)
+    figure = KINDS[kind](results, None)
+    axes, bar = figure.axes
+    assert bar.get_ylabel() == "friction"
+    wanted = [tuple(colormaps["viridis"](k / 6)) for k in range(7)]
+    drawn = [to_rgba(line.get_color()) for line in axes.lines if len(line.get_xdata())]
+    for colour in wanted:
+        assert any(np.allclose(colour, each, atol=0.01) for each in drawn)
+    told = [text.get_text() for text in figure.legends[0].get_texts()] if figure.legends else []
+    assert len(told) < 3 and not any("friction" in name and "0." in name for name in told)
 
 
 def test_pictures_are_readable(several, result, tmp_path):

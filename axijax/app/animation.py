@@ -16,6 +16,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from axijax.app.labels import LETTERS, readable
+from axijax.app.overwrite import SNAPSHOTS
 from axijax.app.results import Result
 from axijax.core.files import write_whole
 from axijax.core.palette import COLOURS
@@ -39,11 +40,8 @@ def save_animation(result: Result, path: Path) -> None:
 
 def _frames(result: Result) -> list[tuple[float, np.ndarray]]:
     """Axial strain and (3, N) centres of every snapshot, the sector's own balls alone, in the order of the test's."""
-    folder = result.path / "snapshots"
-    try:
-        entries = list(ElementTree.parse(folder / "balls.pvd").getroot().iter("DataSet"))
-    except (OSError, ElementTree.ParseError):
-        entries = []
+    kept = [(result.path / name, _kept(result.path / name)) for name in SNAPSHOTS]
+    folder, entries = max(kept, key=lambda each: len(each[1]))
     if len(entries) < LEAST:
         raise ValueError(
             f"animation: the run kept {len(entries) or 'no'} snapshot{'' if len(entries) == 1 else 's'} of its balls, "
@@ -61,6 +59,14 @@ def _frames(result: Result) -> list[tuple[float, np.ndarray]]:
         order = own[np.argsort(mesh.point_data["number"].ravel()[own])]
         found.append((float(entry.get("timestep", "nan")), np.asarray(mesh.points, float)[order].T))
     return found
+
+
+def _kept(folder: Path) -> list[ElementTree.Element]:
+    """Entries of the index of balls; none without one."""
+    try:
+        return list(ElementTree.parse(folder / "balls.pvd").getroot().iter("DataSet"))
+    except (OSError, ElementTree.ParseError):
+        return []
 
 
 def _stage(result: Result, frames: list[tuple[float, np.ndarray]]):

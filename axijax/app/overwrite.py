@@ -17,9 +17,14 @@ from axijax.core.files import remove_leftovers, write_whole
 CURVES = ("curve.nc", "curve.csv", "curve.png", "partial_curve.nc")
 # In the order in which they are removed: what is left at any moment tells no more than is true.
 FILES = (*CURVES, "checkpoint.npz", "case.toml", NAME)
-SNAPSHOTS = ("snapshots", "snapshots-full")
+SNAPSHOTS = ("snapshots", "snapshots-full")  # of the sector, and of the whole cylinder
 PICTURES, REPORT = "pictures", "report.html"  # where `axijax plot` and `axijax report` write by default
 SHOWN = 20  # names in a sentence
+
+
+def snapshots_folder(full: bool) -> str:
+    """Where a run's snapshots go: those of the whole cylinder to a folder of their own."""
+    return SNAPSHOTS[full]
 
 
 def refuse_to_lose(folder: Path, overwrite: bool) -> None:

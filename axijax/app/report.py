@@ -1,7 +1,7 @@
 """A report: one HTML page that stands alone, with inputs, curves, checks, pictures and how to make it again.
 
-Everything is inside the page (pictures as data URIs, no script, nothing fetched), so that it can be mailed, archived,
-opened offline and printed.
+Everything is inside the page (pictures as data URIs, one script of our own that turns the specimen) and nothing is
+fetched, so that it can be mailed, archived, opened offline and printed.
 """
 
 import base64
@@ -26,6 +26,7 @@ from axijax.app.labels import Measured, case_of, labels, thornton_ratio
 from axijax.app.plot import CURVES, curve_figure
 from axijax.app.results import Result
 from axijax.app.snapshot import snapshot
+from axijax.app.turning_view import TURNING, script, turning_view
 from axijax.core.files import draw_afterwards, write_whole
 from axijax.triaxial.laboratory import laboratory
 from axijax.triaxial.peak import at_peak
@@ -96,12 +97,20 @@ figure img { max-width: 100%; max-height: 46rem; display: block; background: #ff
 .beside { display: flex; flex-wrap: wrap; gap: 1rem 2.5rem; align-items: flex-end; }
 .beside figure { max-width: 29rem; } .beside img { max-height: 36rem; }
 figcaption { font-size: .9rem; margin-top: .4rem; }
+.turning canvas { display: block; width: 100%; height: 34rem; max-height: 75vh; touch-action: none; cursor: grab; }
+.turning p { margin: .3rem 0; font-size: .9rem; } .turning label { margin-right: 1.2rem; white-space: nowrap; }
+.turning select { font: inherit; color: inherit; background: var(--box); border: 1px solid var(--line); }
+.turning .scale { display: flex; gap: .2rem .7rem; align-items: center; justify-content: center; }
+.turning .scale > i { flex: 0 1 16rem; height: .7rem; } .turning .scale span { white-space: nowrap; }
+.turning .scale span i { display: inline-block; width: .8rem; height: .8rem; border-radius: 50%; margin-right: .35rem; }
+.turning output { display: block; min-height: 1.5em; color: var(--text); font-weight: 600; }
 .passed { color: var(--good); } .failed { color: var(--bad); font-weight: 600; }
 .warning { border-left: 4px solid var(--bad); padding: .5rem 1rem; background: var(--warn); }
 pre { background: var(--box); padding: .8rem 1rem; overflow-x: auto; font-size: .85rem; line-height: 1.4; }
 @media (max-width: 40rem) { body { margin: 1.2rem auto; padding: 0 .8rem; } h1 { font-size: 1.5rem; }
   .figures { display: grid; grid-template-columns: 1fr 1fr; gap: .7rem 1rem; }
   .figures div { min-width: 0; } .figures b { font-size: 1.15rem; }
+  .turning canvas { height: 26rem; max-height: 62vh; }
   figure.broad { overflow-x: auto; } figure.broad img { max-width: none; width: 40rem; }
   .folding tr { display: block; padding: .4rem 0; border-bottom: 1px solid var(--thin); }
   .folding thead { display: none; } .folding td, .folding td.number { display: block; border: 0; text-align: left;
@@ -109,7 +118,7 @@ pre { background: var(--box); padding: .8rem 1rem; overflow-x: auto; font-size: 
 @media print { :root { color-scheme: light; --text: #000; --page: #fff; --quiet: #444; --box: #f6f8fa; --link: #000;
     --line: #bbb; --thin: #ddd; --warn: #fff; }
   body { margin: 0; max-width: none; font-size: 10.5pt; } h2 { break-after: avoid; }
-  pre { white-space: pre-wrap; } }
+  pre { white-space: pre-wrap; } .turning { display: none; } }
 """
 
 
@@ -168,6 +177,7 @@ def report_page(results: Sequence[Result], data: Measured | None = None, energy:
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
         + "\n".join(part for part in body if part)
+        + (f"\n<script>\n{script()}</script>" if any(TURNING in part for part in body) else "")
         + "\n</body>\n</html>\n"
     )
 
@@ -265,6 +275,10 @@ def _pictures(result: Result) -> Iterable[str]:
         if kind != "membrane-cells" or seen.membrane.polygons
     }
     yield _beside(figures.pop("specimen"), figures.pop("force-network"))
+    yield turning_view(seen) or (
+        f'<p class="note">{seen.balls.number.size} balls are too many for a view in this page that can be turned; '
+        "ParaView shows them: <code>axijax snapshot --full</code>.</p>"
+    )
     yield from figures.values()
 
 

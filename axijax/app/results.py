@@ -277,9 +277,12 @@ INFO: dict[str, tuple[Callable[[Any], bool], str]] = {
     "seconds": (lambda v: _is_number(v) and 0 <= v < 1e12, "a number of seconds"),
     "axial_strain": (lambda v: _is_number(v) and -1 < v < 1, "a strain"),
     "resumed": (lambda v: isinstance(v, int) and _is_number(v) and 0 <= v < 10**9, "a whole number"),
+    "full": (lambda v: isinstance(v, bool), "true or false"),
     "snapshots": (lambda v: isinstance(v, int) and _is_number(v) and 0 <= v <= MOST_SNAPSHOTS, "a whole number"),
 }
 MOST_SNAPSHOTS = 100_000
+# What a run needs to be resumed; the rest is only there where it was asked for.
+NEEDED = tuple(name for name in INFO if name != "full")
 
 
 def _is_number(value) -> bool:

@@ -6,7 +6,7 @@
     checkpoint.npz    the last state and all records; kept, for pictures, checks and going on to a larger strain
     curve.nc .csv .png    once the run has finished
     partial_curve.nc      in their place where it went wrong
-    snapshots/            for ParaView, where they were asked for
+    snapshots/            for ParaView, where they were asked for; snapshots-full/ of the whole cylinder
 
 run.json comes first and is changed in one piece, so at whatever moment a run is killed it says no more than is true. A
 result is finished before anything is drawn.
@@ -33,7 +33,7 @@ import numpy as np
 from axijax.app import results
 from axijax.app.case import GIVEN, Case, load_case
 from axijax.app.case_writing import to_toml
-from axijax.app.overwrite import CURVES, clear, refuse_to_lose, remove_stale
+from axijax.app.overwrite import CURVES, clear, refuse_to_lose, remove_stale, snapshots_folder
 from axijax.app.results import curves_dataset, save_dataset, save_run
 from axijax.app.specimen_file import NAME, load_specimen, save_specimen
 from axijax.core.files import locked, printable, writable_folder, write_whole, writing_to
@@ -65,6 +65,7 @@ def run_case(
     *,
     overwrite: bool = False,
     snapshots: int = 0,
+    full: bool = False,
     command: Sequence[str] = (),
     packing: Callable[[str], None] = lambda told: None,
     packed: "Callable[[PackingReport], None]" = lambda report: None,
@@ -74,7 +75,8 @@ def run_case(
     """Run a case into a folder, which is made where there is none.
 
     name: of the run, for titles. overwrite: replace what another run left there. snapshots: how many to write for
-    ParaView, evenly over the shear, each at the first record there. command: the command line, to be kept.
+    ParaView, evenly over the shear, each at the first record there; full: of the whole cylinder. command: the command
+    line, to be kept.
     packing: called with what the packing of a random specimen is at, packed: with what it has become. confined: begin
     with the specimen that another case has kept there, which may differ in its stages alone. keep_confined: file for
     the confined specimen.
@@ -102,6 +104,7 @@ def run_case(
             raise
         info: dict[str, Any] = {"name": printable(name), "command": [printable(word) for word in command]}
         info |= {"started": _now(), "seconds": 0.0, "resumed": 0, "axial_strain": 0.0, "snapshots": snapshots}
+        info |= {"full": True} if full else {}
         if report is not None:
             info["packing"] = packing_values(report)
         made_here = specimen if case.specimen.kind in GIVEN else None
@@ -140,7 +143,7 @@ def read_info(folder: Path) -> dict[str, Any]:
     """What run.json says. Raises ValueError where there is none, or it is damaged."""
     if not (Path(folder) / "run.json").is_file():
         raise ValueError(f"'{folder}' is no result of axijax: it holds no run.json.")
-    return results.read_info(folder, needed=tuple(results.INFO))
+    return results.read_info(folder, needed=results.NEEDED)
 
 
 def _strain_wanted(folder: Path, info: dict[str, Any], reached: float, wanted: float | None) -> float:
@@ -243,7 +246,8 @@ def _run(
         if due:
             from axijax.app.paraview import SnapshotWriter
 
-            write_snapshot = SnapshotWriter(folder / "snapshots", test)
+            full = info.get("full", False)
+            write_snapshot = SnapshotWriter(folder / snapshots_folder(full), test, full)
         try:
             say(None)
             run = test.run(start=start, progress=advance, checkpoint=folder / "checkpoint.npz", stops=tuple(due))

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
 from axijax import theory
-from axijax.app.labels import LETTERS, Lines, Measured, case_of, labels, line_of, plain, readable
+from axijax.app.labels import LETTERS, Lines, Measured, case_of, plain, readable
 from axijax.app.results import Result
 from axijax.core.smoothing import Smooth, advancing
 from axijax.triaxial.laboratory import laboratory
@@ -123,8 +123,9 @@ def stress_dilatancy(results: Sequence[Result], data: Measured | None = None) ->
     figure, axes = _figure()
     far = top = 1.0
     frictions: dict[float, None] = {}
-    for number, (result, name) in enumerate(_named(results)):
-        curve, line, case = result.curve, line_of(number), case_of(result)
+    lines = Lines(results)
+    for result, name, line in lines.each:
+        curve, case = result.curve, case_of(result)
         found = laboratory(curve)
         rate, ratio = curve.dilatancy_rate.values, _smooth(curve, curve.stress_ratio)
         shown = np.isfinite(rate) & (rate > -1)
@@ -136,14 +137,17 @@ def stress_dilatancy(results: Sequence[Result], data: Measured | None = None) ->
             if friction >= 1:  # where the ideal array locks
                 continue
             factor = float(theory.rowe_stress_dilatancy(np.pi / 4, friction))
-            _rowe(axes, factor, f"Rowe, FCC array, f = {friction:g}", line["color"], (0, (6, 3)))
+            _rowe(axes, factor, name and f"Rowe, FCC array, f = {friction:g}", line["color"], (0, (6, 3)))
             continue
         if np.isfinite(found.large_strain):
             angle = found.large_strain_angle.value
             factor = float(theory.stress_ratio_of(float(np.deg2rad(angle))))
-            _rowe(axes, factor, f"Rowe, phi = {angle:.1f}° at large strain", line["color"], (0, (6, 3)))
+            _rowe(axes, factor, name and f"Rowe, phi = {angle:.1f}° at large strain", line["color"], (0, (6, 3)))
         if friction:
             frictions[friction] = None
+    if lines.scale is not None:
+        told = "Rowe, R = K D, of the friction or the large-strain angle of each"
+        axes.plot([], [], color="0.3", lw=1, ls=(0, (6, 3)), label=told)
     for friction in frictions if len(frictions) == 1 else ():
         factor = float(theory.stress_ratio_of(float(np.arctan(friction))))
         _rowe(axes, factor, f"Rowe, f = {friction:g} between balls", "0.35", ":")
@@ -153,35 +157,37 @@ def stress_dilatancy(results: Sequence[Result], data: Measured | None = None) ->
         top = max(top, float(np.max(data.stress_ratio)))
     axes.set(xlim=(0, 1.1 * far), ylim=(0.95, 1.08 * top), xlabel="dilatancy D = 1 - d eps_v/d eps_1 [-]")
     axes.set(ylabel="stress ratio R = s1/s3 [-]")
-    return _finished(figure)
+    return _finished(figure, lines)
 
 
 def mohr(results: Sequence[Result], data: Measured | None = None) -> Figure:
     """Mohr's circles at the largest stress ratio; tests that differ by their loading alone have one envelope."""
     figure, axes = _figure()
-    groups: dict[str, list[tuple[float, float, int]]] = {}
+    groups: dict[str, list[tuple[float, float, str]]] = {}
     ring = np.linspace(0, np.pi, 181)
-    for number, (result, name) in enumerate(_named(results)):
+    lines = Lines(results)
+    for number, (result, name, line) in enumerate(lines.each):
         peak = laboratory(result.curve).peak
         s3 = float(result.curve.lateral_stress[peak.record])
-        s1, line = peak.stress_ratio * s3, line_of(number)
-        which = "" if peak.reached else ", no peak yet"
+        s1 = peak.stress_ratio * s3
+        which = "" if peak.reached or not name else ", no peak yet"
         middle, radius = (s1 + s3) / 2, (s1 - s3) / 2
         axes.plot(middle + radius * np.cos(ring), radius * np.sin(ring), label=f"{name}{which}", **line)
-        groups.setdefault(_material(result, number), []).append((s1, s3, number))
+        groups.setdefault(_material(result, number), []).append((s1, s3, line["color"]))
     far = axes.dataLim.x1
     for circles in groups.values():
-        s1s, s3s, numbers = zip(*circles, strict=True)
+        s1s, s3s, colours = zip(*circles, strict=True)
         envelope = theory.mohr_envelope(s1s, s3s)
+        many = len(groups) > 1
         told = f"envelope, phi = {np.rad2deg(envelope.angle):.1f}°"
         told += f", c = {envelope.cohesion:.3g} {STRESS}" if envelope.cohesion else ""
         reach = np.array([0.0, far])
         heights = envelope.cohesion + reach * np.tan(envelope.angle)
-        colour = line_of(numbers[0])["color"] if len(groups) > 1 else "0.25"
-        axes.plot(reach, heights, color=colour, lw=1, ls=(0, (6, 3)), label=told)
+        style = {"color": colours[0] if many else "0.25", "lw": 1, "ls": (0, (6, 3))}
+        axes.plot(reach, heights, label="" if many and lines.scale is not None else told, **style)
     axes.set(xlabel=f"normal stress {STRESS}", ylabel=f"shear stress {STRESS}", xlim=(0, 1.02 * far))
     axes.set(ylim=(0, None), aspect="equal")
-    return _finished(figure)
+    return _finished(figure, lines)
 
 
 KINDS: Mapping[str, Callable[[Sequence[Result], Measured | None], Figure]] = {
@@ -200,7 +206,7 @@ def _figure():
     return figure, figure.add_subplot()
 
 
-def _finished(figure: Figure, lines: Lines | None = None) -> Figure:
+def _finished(figure: Figure, lines: Lines) -> Figure:
     """With a grid, the legend below the axes, and a scale of colours beside them where that tells the lines apart."""
     for axes in figure.axes:
         axes.grid(alpha=0.3)
@@ -208,13 +214,8 @@ def _finished(figure: Figure, lines: Lines | None = None) -> Figure:
     if names:
         columns = 2 if len(names) > 4 and max(map(len, names)) < 34 else 1
         figure.legend(handles, names, loc="outside lower center", ncols=columns, frameon=False, fontsize=LETTERS)
-    if lines is not None:
-        lines.bar(figure)
+    lines.bar(figure)
     return readable(figure)
-
-
-def _named(results: Sequence[Result]) -> list[tuple[Result, str]]:
-    return [(result, plain(name)) for result, name in zip(results, labels(results), strict=True)]
 
 
 def _measured(data: Measured) -> str:

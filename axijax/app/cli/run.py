@@ -59,6 +59,7 @@ def run(
             min=0, max=100_000, help="Snapshots for ParaView, evenly over the shear, each at the first record there."
         ),
     ] = 0,
+    full: Annotated[bool, typer.Option("--full", help="Snapshots of the whole cylinder, images filled in.")] = False,
     keep_confined: Annotated[
         Path | None, typer.Option(help="File for the confined specimen, from which other cases can go on.")
     ] = None,
@@ -76,14 +77,16 @@ def run(
     from axijax.app.case import load_case
     from axijax.app.runs import run_case
 
+    if full and not snapshots:
+        raise ValueError("--full: no snapshots are asked for that it could fill in; add --snapshots NUMBER.")
     loaded = load_case(case)
     folder = Path("results") / case.stem if output is None else output
     with _live(folder, as_json) as live:
         command = ["axijax", *sys.argv[1:]]
         done = run_case(
             loaded, folder, case.stem, live.tell,
-            overwrite=overwrite, snapshots=snapshots, command=command, packing=live.packing, packed=live.packed,
-            confined=confined, keep_confined=keep_confined,
+            overwrite=overwrite, snapshots=snapshots, full=full, command=command, packing=live.packing,
+            packed=live.packed, confined=confined, keep_confined=keep_confined,
         )  # fmt: skip
         live.finished(done)
 

@@ -85,7 +85,7 @@ def snapshot(
     result: Annotated[
         Path, typer.Argument(metavar="RESULT", help="Folder that `axijax run` made.", show_default=False)
     ],
-    full: Annotated[bool, typer.Option(help="Fill in the sector's images to the whole cylinder.")] = False,
+    full: Annotated[bool, typer.Option("--full", help="Fill in the sector's images to the whole cylinder.")] = False,
     output: Annotated[
         Path | None,
         typer.Option(help="Folder to write to.", show_default="RESULT/snapshots, or RESULT/snapshots-full"),
@@ -95,13 +95,14 @@ def snapshot(
 
     In a folder that holds snapshots of the same run already, the last state is added, with axial strain as time.
     """
+    from axijax.app.overwrite import snapshots_folder
     from axijax.app.paraview import SnapshotWriter
     from axijax.app.results import open_result
     from axijax.core.files import writable_folder
 
     opened = open_result(result)
     progress = opened.progress
-    folder = writable_folder(output or result / ("snapshots-full" if full else "snapshots"))
+    folder = writable_folder(output or result / snapshots_folder(full))
     with filling(folder, AGAIN):
         paths = SnapshotWriter(folder, opened.test, full)(progress)
     _tell(paths)
