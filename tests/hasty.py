@@ -45,3 +45,8 @@ def _switch(on: bool) -> bool:
         jax.config.update("jax_disable_most_optimizations", on)
         compiler.get_compile_options = partial(_get, _older_emitters()) if on else _plain
     return was
+
+
+def flags() -> str:
+    """XLA_FLAGS that do the same to a process of its own."""
+    return " ".join(["--xla_backend_optimization_level=0", *(f"--{name}=false" for name in _older_emitters())])

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import hasty
 import jax
 import pytest
 from cli_in_process import axijax
@@ -180,11 +181,11 @@ def python_blocks(first_case):
             pages.setdefault(tuple(found), each)
     cache = {  # of compiled programs, of which other tests need some; scripts have none unless they ask for it
         "JAX_COMPILATION_CACHE_DIR": jax.config.values["jax_compilation_cache_dir"],
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.05",
-    }
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.05", "XLA_FLAGS": hasty.flags(),
+    }  # fmt: skip
     result = subprocess.run(
         [sys.executable, "-c", PAGES, *map(str, pages.values())], capture_output=True, text=True, cwd=folder,
-        timeout=400, env={**os.environ, **cache, "PYTHONPATH": os.pathsep.join((str(ROOT), str(GUIDE)))},
+        timeout=1200, env={**os.environ, **cache, "PYTHONPATH": os.pathsep.join((str(ROOT), str(GUIDE)))},
     )  # fmt: skip
     assert result.returncode == 0, result.stdout[-2000:] + result.stderr
     printed = dict(re.findall(r"^page (\S+)\n(.*?)(?=^page |\Z)", result.stdout, re.DOTALL | re.MULTILINE))
