@@ -48,7 +48,10 @@ def width_of_a_pipe():
 
 
 # Modules whose programs are many and run briefly: compiled in haste, which saves a quarter to a half of their time.
-HASTY = ("test_case", "test_forecast", "test_gather", "test_own_packing", "test_random_packing", "test_reverse_mode")
+HASTY = (
+    "test_case", "test_forecast", "test_gather", "test_mass_scaling", "test_own_packing", "test_random_packing",
+    "test_reverse_mode",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from axijax.core.sector import Sector
 from axijax.core.vector import zeros
-from axijax.mechanics.contact_list import ContactList, Room, build_contact_list, carry_memory
+from axijax.mechanics.contact_list import ContactList, Room, build_contact_list, carry_memory, with_mass_factor
 from axijax.mechanics.dynamics import positions
 from axijax.mechanics.membrane import Membrane, build_membrane
 from axijax.mechanics.outer_balls import zone_found_again
@@ -39,6 +39,8 @@ def rebuild_on_host(
     around = replace(around, surface=membrane.surface)
     still = zeros(network.radius.shape, network.dtype)
     new = replace(new, grid=network.grid, tight=_tight_room(new, network.tight))
+    if network.mass_factor is not None:
+        new = with_mass_factor(new, network.mass_factor)
     return (new, around), state._replace(displacement=still, memory=carry_memory(network, new, state.memory))
 
 
