@@ -86,7 +86,7 @@ def build_membrane(
     Raises ValueError where the zone is empty, a zone ball is on the axis, two zone balls share one place on the
     cylinder (their cells would be undefined), or triangles or balls is too small.
     """
-    return jax.tree.map(jnp.asarray, membrane_arrays(specimen, sector, triangles, dtype, balls))
+    return jax.device_put(membrane_arrays(specimen, sector, triangles, dtype, balls))
 
 
 def membrane_arrays(specimen: Specimen, sector: Sector, triangles: int | None, dtype, balls: int | None) -> Membrane:
