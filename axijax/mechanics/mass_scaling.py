@@ -1,6 +1,6 @@
 """Mass scaling ball by ball: small balls are made heavier, so that they do not set the time step of all others.
 
-Where a quasi-static test passes through does not depend on masses; its time step does, being 2/omega of the fastest
+What a quasi-static test passes through does not depend on masses; its time step does, being 2/omega of the fastest
 mode (sqrt(1 + xi^2) - xi), and in a wide grading that is a mode of some small balls. So each ball gets the mass, and
 with it the moment of inertia, that its own critical time step asks for. With k_i the stiffness of ball i against its
 own motion, no ball is lighter than
