@@ -15,8 +15,7 @@ from axijax.app.case import make_case
 from axijax.app.forecast import forecast
 from axijax.core.sector import Sector
 from axijax.mechanics.contact_list import build_contact_list, with_mass_factor
-from axijax.mechanics.contact_search import grid_for, update
-from axijax.mechanics.dynamics import all_forces, initial_state, make_step
+from axijax.mechanics.dynamics import initial_state, make_step
 from axijax.mechanics.energy import energy_balance, make_ledger_step, open_ledger
 from axijax.mechanics.gravity import Gravity
 from axijax.mechanics.mass_scaling import QUASI_STATIC, inertial_numbers, own_stiffness, scaled, usual_stiffness
@@ -192,11 +191,12 @@ def test_the_ledger_closes_and_weights_are_the_true_ones():
     factor = jnp.array([3.0, 7.0])
     network, unscaled = with_mass_factor(network, factor), network
     load, dt, step = no_load(network), 0.01, make_ledger_step(SCENE, still)
-    weights = [all_forces(SCENE, params, each, load, dt, state).pushes[-1].force.z for each in (network, unscaled)]
+    weights = [params.terms[0].forces(params, each, dt, state, None).force.z for each in (network, unscaled)]
     np.testing.assert_array_equal(*weights)
     start = state, open_ledger()
     end = jit(lambda b: jax.lax.fori_loop(0, 1500, lambda _, b: step(params, network, load, dt, b), b))(start)
-    first, last = (energy_balance(SCENE, params, network, load, dt, *both) for both in (start, end))
+    balance = jit(energy_balance, static_argnums=0)
+    first, last = (balance(SCENE, params, network, load, dt, *both) for both in (start, end))
     assert float(first.translation) == pytest.approx(0.5 * 7 * 2e-4, rel=1e-9)
     assert float(first.spin) == pytest.approx(0.5 * 0.4 * 7 * 4e-4, rel=1e-9)
     moved = abs(float(last.other_work)) + abs(float(last.friction)) + float(last.damping)
@@ -217,8 +217,7 @@ def test_lists_that_are_rebuilt_keep_the_masses_and_so_does_a_checkpoint(scaled_
     save_progress(path, scaled_test, now)
     state = state._replace(displacement=network.free * (0.01 * RADIUS))
     (again, _), _ = rebuild_on_host(scaled_test.cut, scaled_test.prepared.lists, state)
-    inside = jit(update)(state.displacement, replace(network, grid=grid_for(network)))
-    for each in (network, again, inside, load_progress(path, scaled_test).network):
+    for each in (network, again, load_progress(path, scaled_test).network):
         np.testing.assert_array_equal(each.mass_factor, factor)
         real = np.asarray(each.image) >= 0
         a, b = cube[np.asarray(each.first)], cube[np.asarray(each.second)]
