@@ -124,7 +124,7 @@ def own_stiffness(
     normal = side * np.stack([cos * x - sin * y, sin * x + cos * y, z])
     along, across = (np.where(side != 0, np.broadcast_to(k, closed.shape)[slot], 0.0) for k in (pressed, held))
     rows = zip(along, across * material.frictional, normal.swapaxes(0, 1), strict=True)
-    own = sum(_of_contacts(*row) for row in rows)
+    own = np.sum([_of_contacts(*row) for row in rows], axis=0)
     for plate in plates(network, touching_within):
         along, across = of_wall(plate.balls, plate.area, -plate.gap[plate.balls])
         across = across * (getattr(material, plate.friction) is not None)
