@@ -12,6 +12,7 @@ from axijax.app.case import Case
 from axijax.core.vector import from_rows
 from axijax.mechanics.damping import BackgroundDamping, LocalDamping
 from axijax.mechanics.dynamics import initial_state
+from axijax.mechanics.mass_scaling import inertial_numbers
 from axijax.mechanics.membrane import membrane_radius
 from axijax.mechanics.time_step import SAFE_STEP, critical_time_step
 from axijax.theory import inertial_number
@@ -32,8 +33,9 @@ class Forecast(NamedTuple):
     balls: in the sector. contacts: pairs in its list, touching or near.
     height, membrane_radius: of the specimen as made [L].
     critical_time_step, time_step: the limit of the actual network, and the step that is taken [T].
-    inertial_number: 2 v / H 2 r sqrt(density / s3) [-]. softness: s3 r / kn, kn of a contact
-        under the confining stress [-].
+    inertial_number: 2 v / H 2 r sqrt(density / s3) of the mean ball, or the largest of all where masses are scaled [-].
+    heaviest: largest factor by which a mass is scaled, None where none is [-].
+    softness: s3 r / kn, kn of a contact under the confining stress [-].
     ramp_strain: axial strain at which the platens have reached their speed [-].
     shear_steps, records: to the axial strain. confinement_steps: assumed.
     ball_steps_per_second: measured on this machine over some 1000 steps of this case; None where it was not.
@@ -48,6 +50,7 @@ class Forecast(NamedTuple):
     critical_time_step: float
     time_step: float
     inertial_number: float
+    heaviest: float | None
     softness: float
     ramp_strain: float
     shear_steps: int
@@ -81,7 +84,8 @@ def forecast(case: Case, measure: bool = True) -> Forecast:
         membrane_radius=float(membrane_radius(test.membrane, from_rows(test.cut.positions))),
         critical_time_step=critical_time_step(test.scene, params, test.network),
         time_step=float(prepared.time_step),
-        inertial_number=float(inertial_number(rate, radius, params.density, params.confining_stress)),
+        inertial_number=_inertial_number(test, rate),
+        heaviest=None if test.network.mass_factor is None else float(test.network.mass_factor.max()),
         softness=float(params.confining_stress * radius / stiffness),
         ramp_strain=rate * float(prepared.ramp_time) / 2,
         shear_steps=steps,
@@ -96,6 +100,13 @@ def forecast(case: Case, measure: bool = True) -> Forecast:
     told = packing.warnings if packing else []
     told = told + [str(each.message).rstrip(".") for each in noted] + _warnings(case, test, found, released, packing)
     return found._replace(warnings=list(dict.fromkeys(told)))
+
+
+def _inertial_number(test: TriaxialTest, rate: float) -> float:
+    params, network = test.params, test.network
+    if network.mass_factor is not None:
+        return float(inertial_numbers(params, network, rate).max())
+    return float(inertial_number(rate, float(test.cut.radius.mean()), params.density, params.confining_stress))
 
 
 def _timed(test: TriaxialTest) -> tuple[float | None, float | None]:

@@ -10,7 +10,7 @@ displacement from the positions at which the list was built, and each contact ke
 float32 loses nothing to large coordinates, and any image of a ball may represent it.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -22,7 +22,7 @@ from axijax.core.images import directed_pairs
 from axijax.core.sector import Sector, radial_distance
 from axijax.core.shown import shown
 from axijax.core.status import FULL_LIST
-from axijax.core.vector import Vector, from_rows
+from axijax.core.vector import Vector
 from axijax.mechanics import contact_sums
 from axijax.specimen.specimen import Specimen
 
@@ -58,7 +58,7 @@ class ContactList:
     cos, sin: (C,) of the turn to image k.
     branch: (C,) vectors from the image of j to i at the reference positions [L]; huge where padding.
     distance, overlap: (C,) their length and the overlap there, negative for a gap [L].
-    pair_cube: a^3 b^3 / (a^3 + b^3) of the two radii a, b [L^3], for the reduced mass; () where all balls are equal.
+    pair_cube: A B / (A + B) of the two balls' `mass_cube` [L^3], for the reduced mass; () where all balls are equal.
     share: (C,) the part of each contact that belongs to the sector, so that sums count it once [-].
     slot: (K, N) int, the contacts of each ball; the last contact where a slot is empty.
     side: (K, N) 1 where the ball is the contact's first, -1 where its second, 0 where the slot is empty.
@@ -70,6 +70,8 @@ class ContactList:
     status: bits of what went wrong in any update so far; an error sticks.
     grid: with which `axijax.mechanics.contact_search` finds contacts inside jit; None where it never does.
     tight: room of the tight lists that steps may see in its place; None where nearly all of its contacts touch.
+    mass_factor: (N,) by which the balls' true masses and moments of inertia are multiplied, see
+        `axijax.mechanics.mass_scaling`; None for true ones [-].
     """
 
     first: jax.Array
@@ -95,6 +97,7 @@ class ContactList:
     sector: Sector = field(metadata={"static": True})
     grid: Grid | None = field(default=None, metadata={"static": True})
     tight: Room | None = field(default=None, metadata={"static": True})
+    mass_factor: jax.Array | None = None
 
     @property
     def dtype(self):
@@ -104,6 +107,12 @@ class ContactList:
     def did_buffer_overflow(self) -> jax.Array:
         """Whether an update found more contacts than there is room for, as in jax-md; then make a new list."""
         return (self.status & FULL_LIST) != 0
+
+    @property
+    def mass_cube(self) -> jax.Array:
+        """Radius cubed, times the mass factor: what the balls' masses are proportional to; (N,) [L^3]."""
+        cube = self.radius**3
+        return cube if self.mass_factor is None else cube * self.mass_factor
 
     def contact_radii(self) -> tuple[jax.Array, jax.Array]:
         """Radii of the contacts' first and second balls [L]; () where all balls are equal."""
@@ -194,10 +203,10 @@ def build_contact_list(
     def slots(values, empty, kind=dtype):
         table = np.full((slots_of_a_ball, count), empty, kind)
         table[row, ball] = values
-        return jnp.asarray(table)
+        return table
 
     def padded(values, empty, kind=dtype):
-        return jnp.asarray(np.concatenate([values, np.full(length - i.size, empty)]).astype(kind))
+        return np.concatenate([values, np.full(length - i.size, empty)]).astype(kind)
 
     far = 1e3 * radius.max()  # a padding contact is between balls far apart that never touch
     cubes = radius[i] ** 3, radius[j] ** 3
@@ -205,29 +214,42 @@ def build_contact_list(
     share = sector.weight(on_axis[i] & on_axis[j]) / np.where((i == j) & (2 * k % sector.order == 0), 2.0, 1.0)
     cos, sin = sector.cos_sin(k)
     slot_cos, slot_sin = sector.cos_sin(turn)
-    return ContactList(
+    made: dict[str, Any] = dict(
         first=padded(i, 0, np.int32),
         second=padded(j, 0, np.int32),
         image=padded(k, -1, np.int32),
         cos=padded(cos, 1.0),
         sin=padded(sin, 0.0),
-        branch=from_rows([padded(branch[0], far), padded(branch[1], 0.0), padded(branch[2], 0.0)]),
+        branch=Vector(padded(branch[0], far), padded(branch[1], 0.0), padded(branch[2], 0.0)),
         distance=padded(distance, far),
         overlap=padded(overlap, 2 * radius.max() - far),
-        pair_cube=jnp.asarray(radius[0] ** 3 / 2, dtype) if equal else padded(cubes[0] * cubes[1] / sum(cubes), 1.0),
+        pair_cube=np.asarray(radius[0] ** 3 / 2, dtype) if equal else padded(cubes[0] * cubes[1] / sum(cubes), 1.0),
         share=padded(share, 0.0),
         slot=slots(contact, length - 1, np.int32),
         side=slots(side, 0.0),
         slot_cos=slots(slot_cos, 1.0),
         slot_sin=slots(slot_sin, 0.0),
-        positions=from_rows(positions.astype(dtype)),
-        radius=jnp.asarray(radius.astype(dtype)),
-        weight=jnp.asarray(sector.weight(on_axis).astype(dtype)),
-        free=from_rows(np.stack([~on_axis, ~on_axis, np.ones(count, bool)]).astype(dtype)),
-        skin=jnp.asarray(skin, dtype),
-        status=jnp.zeros((), jnp.int32),
-        sector=sector,
+        positions=Vector(*positions.astype(dtype)),
+        radius=radius.astype(dtype),
+        weight=sector.weight(on_axis).astype(dtype),
+        free=Vector(*np.stack([~on_axis, ~on_axis, np.ones(count, bool)]).astype(dtype)),
+        skin=np.asarray(skin, dtype),
+        status=np.zeros((), np.int32),
     )
+    return jax.device_put(ContactList(**made, sector=sector))  # all at once, which takes a tenth of the time
+
+
+def with_mass_factor(network: ContactList, factor: jax.Array | None) -> ContactList:
+    """The same contacts between balls whose true masses are multiplied by `factor`, (N,) or None [-]."""
+    network = replace(network, mass_factor=factor)
+    return network if factor is None else replace(network, pair_cube=pair_cubes(network))
+
+
+def pair_cubes(network: ContactList) -> jax.Array:
+    """(C,) of a network in which not all balls have one mass, see `ContactList.pair_cube`; 1 where padding [L^3]."""
+    cube = network.mass_cube
+    a, b = cube[network.first], cube[network.second]
+    return jnp.where(network.image >= 0, a * b / (a + b), 1.0)
 
 
 def closing(network: ContactList, displacement: Vector, further: jax.Array | None = None) -> jax.Array:

@@ -23,7 +23,16 @@ from axijax.core.gather import taken
 from axijax.core.sector import Sector
 from axijax.core.status import FULL_LIST, NOT_FINITE, STALE_CELLS, STALE_LIST
 from axijax.core.vector import Vector, zeros
-from axijax.mechanics.contact_list import ContactList, Grid, build_contact_list, carry_memory, closing, keys, places_in
+from axijax.mechanics.contact_list import (
+    ContactList,
+    Grid,
+    build_contact_list,
+    carry_memory,
+    closing,
+    keys,
+    pair_cubes,
+    places_in,
+)
 from axijax.mechanics.contacts import geometry
 from axijax.mechanics.membrane import Membrane, membrane_arrays
 from axijax.mechanics.outer_balls import zone_found_again
@@ -112,8 +121,7 @@ def update(displacement: Vector, network: ContactList) -> ContactList:
     weight = jnp.where(on_axis[first] & on_axis[second], network.weight[first], 1.0) * jnp.where(alone, 0.5, 1.0)
     pair_cube = network.pair_cube
     if pair_cube.ndim:
-        a, b = radii[0] ** 3, radii[1] ** 3
-        pair_cube = jnp.where(listed, a * b / (a + b), 1.0)
+        pair_cube = pair_cubes(new)
     bits = jnp.where(full | too_many, FULL_LIST, 0)
     bits |= jnp.where(closing(network, displacement) > network.skin, STALE_LIST, 0)
     bits |= jnp.where(jnp.isfinite(jnp.asarray(tuple(positions))).all(), 0, NOT_FINITE)

@@ -166,7 +166,7 @@ def make_step(scene: Scene, drive: PlatenDrive, loading: LoadingRule | None = No
 
 def next_motion(params: Params, network: ContactList, dt, state: State, forces: Forces):
     """Velocities and spins (or None) at t + dt/2 from the forces at t; (N,) vectors [L/T], [1/T]."""
-    mass = params.material.mass_per_cube * network.radius**3
+    mass = params.material.mass(network)
     advance = partial(params.material.kind_of_damping.advance, dt, positions(network, state))
     velocity = advance(state.velocity, forces.resultant, 1 / mass)
     if state.spin is None or forces.moment is None:

@@ -163,7 +163,7 @@ def _first_volume(load: Load, state: State, known: FluidWork):
 def _drag_power(params: Params, network: ContactList, forces, state: State, mean: State):
     """Power that the damping of the balls' own motion takes."""
     damping, place = params.material.kind_of_damping, positions(network, state)
-    mass = params.material.mass_per_cube * network.radius**3
+    mass = params.material.mass(network)
     power = damping.power(place, state.velocity, mean.velocity, forces.resultant, mass)
     if state.spin is not None and mean.spin is not None and forces.moment is not None:
         inertia = 0.4 * mass * network.radius**2
@@ -186,7 +186,7 @@ def energy_balance(
 
     The slip of the step before t is known only from the forces at t, which are found here once more.
     """
-    mass = params.material.mass_per_cube * network.radius**3
+    mass = params.material.mass(network)
     spin = jnp.zeros_like(ledger.friction)
     forces = all_forces(scene, params, network, load, dt, state)
     if state.spin is not None:

@@ -19,6 +19,7 @@ class Gravity(Term):
     Components across the axis make sense in the full cylinder only, since the images of a ball share its accelerations,
     each turned. Both platens of a triaxial test are carried by s3 in confinement, so that a heavy specimen finds no
     equilibrium between them; gravity is for scenes with platens that stand, and for weights that are small beside s3.
+    Weights are the true ones where masses are scaled (`axijax.mechanics.mass_scaling`).
     """
 
     gravity_z: jax.Array | float = quantity(-9.81, "acceleration along z", "L/T^2", least=-jnp.inf, coordinate="linear")

@@ -135,7 +135,7 @@ class Hertz(Material):
         normal_viscosity = shear_viscosity = None
         beta = self.kind_of_damping.viscosity_ratio
         if beta is not None:
-            viscosity = 2 * beta * jnp.sqrt(self.mass_per_cube * network.pair_cube * (5 / 6))
+            viscosity = 2 * beta * jnp.sqrt(self.reduced_mass(network) * (5 / 6))
             normal_viscosity, shear_viscosity = viscosity * jnp.sqrt(2 * normal), viscosity * jnp.sqrt(shear)
         return HertzLaw((4 / 3) * normal, shear, friction, normal_viscosity, shear_viscosity, SHALLOW * radius)
 
@@ -146,7 +146,7 @@ class Hertz(Material):
         viscosity = shear_viscosity = None
         beta = self.kind_of_damping.viscosity_ratio
         if beta is not None:
-            mass = self.mass_per_cube * network.radius**3
+            mass = self.mass(network)
             viscosity = 2 * beta * jnp.sqrt(2 * normal * mass * (5 / 6))
             shear_viscosity = 2 * beta * jnp.sqrt(shear * mass * (5 / 6))
         return HertzWall(

@@ -35,7 +35,7 @@ class Linear(Material):
         beta = self.kind_of_damping.viscosity_ratio
         if beta is None:
             return Law(*stiffness, friction, None, None)
-        reduced_mass = self.mass_per_cube * network.pair_cube
+        reduced_mass = self.reduced_mass(network)
         return Law(*stiffness, friction, *(2 * beta * jnp.sqrt(k * reduced_mass) for k in stiffness))
 
     def wall_law(self, network: ContactList) -> Wall:
@@ -44,7 +44,7 @@ class Linear(Material):
         beta = self.kind_of_damping.viscosity_ratio
         if beta is None:
             return Wall(stiffness, None, shear, None)
-        mass = self.mass_per_cube * network.radius**3
+        mass = self.mass(network)
         viscosity = [None if k is None else 2 * beta * jnp.sqrt(k * mass) for k in (stiffness, shear)]
         return Wall(stiffness, viscosity[0], shear, viscosity[1])
 

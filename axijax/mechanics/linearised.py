@@ -101,7 +101,7 @@ def linearised(
     """
     params = replace(params, **_stuck(params))
     network = jax.tree.map(lambda a: a.astype(float) if jnp.issubdtype(a.dtype, jnp.floating) else a, network)
-    mass = np.asarray(params.material.mass_per_cube * network.radius**3, float)
+    mass = np.asarray(params.material.mass(network), float)
     mean_stiffness = params.material.confined_stiffness(network, params.confining_stress)[0]
     dt = 0.1 * float(np.sqrt(mass.min() / np.asarray(mean_stiffness)))
     pressed, platens = _pressed(params, network, touching_within, squeeze, dt)

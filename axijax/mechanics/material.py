@@ -74,8 +74,20 @@ class Material:
 
     @property
     def mass_per_cube(self):
-        """Mass of a ball over its radius cubed [M/L^3]."""
+        """True mass of a ball over its radius cubed [M/L^3], for weights; what resists motion is `mass`."""
         return self.density * (4 / 3) * jnp.pi
+
+    def mass(self, network: "ContactList"):
+        """Mass of each ball as it resists motion, (N,) [M]; 0.4 radius^2 times it is the moment of inertia. The true
+        one, times the network's mass factor where there is one."""
+        # In the order in which packings were always made, whose balls are heavier too: another rounds another way.
+        if network.mass_factor is None:
+            return self.mass_per_cube * network.radius**3
+        return self.density * network.mass_factor * (4 / 3) * jnp.pi * network.radius**3
+
+    def reduced_mass(self, network: "ContactList"):
+        """m1 m2/(m1 + m2) of the contacts' balls, (C,) or one number where all balls are alike [M]."""
+        return self.mass_per_cube * network.pair_cube
 
     def contact_friction(self, network: "ContactList"):
         """Friction coefficient of the contacts: one, or the mean of the two balls' where given per ball [-]."""

@@ -13,6 +13,7 @@ up about its axis. A force normal to the membrane's surface, with a part along z
 """
 
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -85,7 +86,7 @@ def build_membrane(
     Raises ValueError where the zone is empty, a zone ball is on the axis, two zone balls share one place on the
     cylinder (their cells would be undefined), or triangles or balls is too small.
     """
-    return jax.tree.map(jnp.asarray, membrane_arrays(specimen, sector, triangles, dtype, balls))
+    return jax.device_put(membrane_arrays(specimen, sector, triangles, dtype, balls))
 
 
 def membrane_arrays(specimen: Specimen, sector: Sector, triangles: int | None, dtype, balls: int | None) -> Membrane:
@@ -199,11 +200,17 @@ def middle_radius(rho: np.ndarray, zone_rule: ZoneRule) -> float:
 
 def surface_triangles(places, owned):
     """Delaunay triangles (3, T) with an owned corner, counter-clockwise."""
-    corners = Delaunay(places.T).simplices.T
+    corners = _triangles(np.asarray(places, float).tobytes()).T.copy()
     a, b, c = places[:, corners[0]], places[:, corners[1]], places[:, corners[2]]
     clockwise = _cross(b - a, c - a) < 0
     corners[1:, clockwise] = corners[:0:-1, clockwise]
     return corners[:, owned[corners].any(axis=0)]
+
+
+@lru_cache(maxsize=4)  # a zone found again, its holes and its membrane ask for the same ones, one after the other
+def _triangles(places: bytes) -> np.ndarray:
+    """Delaunay triangles (T, 3) of places (2, C) in float64, not to be written to."""
+    return Delaunay(np.frombuffer(places).reshape(2, -1).T).simplices
 
 
 def unfolded_copies(theta, z, middle, bottom, top, sector: Sector):

@@ -88,32 +88,42 @@ def visible_share(positions: np.ndarray, radius: np.ndarray, sector: Sector) -> 
         kept &= (j != i) | (turn[near] != 0)
         return i[kept], near[kept]
 
-    def facing(i, points):
-        """Radial lines through points of the balls' discs: angle from the centre's, and how far out they leave."""
-        angle = np.arcsin(np.clip(radius[i, None] * across[points] / rho[i, None], -1, 1))
-        return angle, rho[i, None] * np.cos(angle) + radius[i, None] * depth[points]
+    def facing(balls, points):
+        """Radial lines through points of the balls' discs: sine and cosine of the angle from the centre's, and how far
+        out they leave; (balls, points)."""
+        sine = np.clip(radius[balls, None] * across[points] / rho[balls, None], -1, 1)
+        cosine = np.sqrt(1 - sine**2)
+        return sine, cosine, rho[balls, None] * cosine + radius[balls, None] * depth[points]
 
-    def hidden(i, near, points):
-        """Whether ball i is hidden by one that may stand before it, at these points of its disc; (pairs, points)."""
+    def hidden(i, near, lines, place, points):
+        """Whether ball i is hidden by one that may stand before it, at these points of its disc; (pairs, points).
+        lines: of `facing`, in which ball i has this place."""
         j = ball[near]
-        angle, own = facing(i, points)
-        along = angle - (theta[j] + turn[near] * sector.angle - theta[i])[:, None]
-        height = z[i, None] + radius[i, None] * upward[points] - z[j, None]
-        inside = radius[j, None] ** 2 - (rho[j, None] * np.sin(along)) ** 2 - height**2
-        return (inside > 0) & (rho[j, None] * np.cos(along) + np.sqrt(np.maximum(inside, 0)) > own)
+        sine, cosine, own = lines
+        aside = theta[j] + turn[near] * sector.angle - theta[i]
+        sin, cos = rho[j] * np.sin(aside), rho[j] * np.cos(aside)
+        height = (z[i] - z[j])[:, None] + radius[i, None] * upward[points]
+        inside = radius[j, None] ** 2 - (sine[place] * cos[:, None] - cosine[place] * sin[:, None]) ** 2 - height**2
+        behind = np.zeros(inside.shape, bool)
+        pair, point = np.nonzero(inside > 0)
+        at = place[pair], point
+        outward = cosine[at] * cos[pair] + sine[at] * sin[pair] + np.sqrt(inside[pair, point])
+        behind[pair, point] = outward > own[at]
+        return behind
 
     share = np.zeros(count)
     seen = rho > radius / 2
     # Most balls are inside, and the line through the centre tells.
     for some in np.array_split(np.flatnonzero(seen), 1 + count // 4000):
         i, near = in_front(some, radius.max(), (rho + radius)[some])
-        seen[i[hidden(i, near, slice(1))[:, 0]]] = False
+        seen[i[hidden(i, near, facing(some, slice(1)), np.searchsorted(some, i), slice(1))[:, 0]]] = False
     for some in np.array_split(np.flatnonzero(seen), 1 + count // 4000):
-        lowest = facing(some, slice(None))[1].min(axis=1)
-        i, near = in_front(some, radius[some] + radius.max(), lowest)
-        covered = np.zeros((count, POINTS), bool)
-        np.logical_or.at(covered, i, hidden(i, near, slice(None)))
-        share[some] = 1 - covered[some].mean(axis=1)
+        lines = facing(some, slice(None))
+        i, near = in_front(some, radius[some] + radius.max(), lines[2].min(axis=1))
+        place = np.searchsorted(some, i)
+        covered = np.zeros((some.size, POINTS), bool)
+        np.logical_or.at(covered, place, hidden(i, near, lines, place, slice(None)))
+        share[some] = 1 - covered.mean(axis=1)
     return share
 
 

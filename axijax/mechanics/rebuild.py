@@ -10,7 +10,7 @@ import numpy as np
 
 from axijax.core.sector import Sector
 from axijax.core.vector import zeros
-from axijax.mechanics.contact_list import ContactList, Room, build_contact_list, carry_memory
+from axijax.mechanics.contact_list import ContactList, Room, build_contact_list, carry_memory, with_mass_factor
 from axijax.mechanics.dynamics import positions
 from axijax.mechanics.membrane import Membrane, build_membrane
 from axijax.mechanics.outer_balls import zone_found_again
@@ -39,6 +39,8 @@ def rebuild_on_host(
     around = replace(around, surface=membrane.surface)
     still = zeros(network.radius.shape, network.dtype)
     new = replace(new, grid=network.grid, tight=_tight_room(new, network.tight))
+    if network.mass_factor is not None:
+        new = with_mass_factor(new, network.mass_factor)
     return (new, around), state._replace(displacement=still, memory=carry_memory(network, new, state.memory))
 
 
@@ -62,16 +64,18 @@ def roomy_lists(
     outer = int(5 * (count * sector.order) ** (2 / 3) / sector.order) + 8
     network = _list_in(18, 64 * -(-count // 10), specimen, sector, None, largest_overlap, dtype)
     if specimen.zone_rule == "exposure":
-        network = replace(network, tight=_tight_room(network, Room(36 * -(-count // 10), 12)))
+        network = replace(network, tight=_tight_room(network, Room(36 * -(-count // 10), 12), spare=True))
     return network, _membrane_in(3 * outer + 80, outer, specimen, sector, dtype)
 
 
-def _tight_room(network: ContactList, room: Room | None) -> Room | None:
+def _tight_room(network: ContactList, room: Room | None, spare: bool = False) -> Room | None:
     """Room for tight lists: what there is where it suffices, or else with some to spare; None where there is none."""
     if room is None:
         return None
     needed = room_for(network)
-    return Room(_room(needed.contacts, room.contacts, 8), _room(needed.width, room.width, 1))
+    # A width without one to spare would soon be too small, and every step compiled again for it.
+    width = _room(needed.width + 1, room.width, 1) if spare else _room(needed.width, room.width, 1)
+    return Room(_room(needed.contacts, room.contacts, 8), width)
 
 
 def _list_in(

@@ -14,13 +14,16 @@ SAFE_STEP = 0.8
 DEFAULT_STEP = 0.6
 
 
-def critical_time_step(scene: Scene, params: Params, network: ContactList, touching_within: float = 1e-3) -> float:
+def critical_time_step(
+    scene: Scene, params: Params, network: ContactList, touching_within: float = 1e-3, accuracy: float | None = None
+) -> float:
     """Largest stable time step 2/omega (sqrt(1 + xi^2) - xi) of the actual network [T] (host).
 
     The least over all modes of the linearised system with every contact stuck, translations and spins together:
     frequency omega, damping ratio xi from the dashpots, which lower the limit (O'Sullivan & Bray 2004 for the
     undamped part). Found by a sparse eigenvalue solver. With dashpots it need not be the fastest mode's: where
     ks < kn they damp spins more. Contacts count as closed where the gap is below touching_within of the ball's radius.
+    accuracy: relative, of a squared frequency; None: 1e-6, or 1e-3 where that takes long.
 
     A stiffness that depends on the load is that at the load to come: `hertz.OVERLOAD` times the mean contact force
     under the confining stress, or at the overlap of the network where that is deeper. A scene with a term that
@@ -32,7 +35,8 @@ def critical_time_step(scene: Scene, params: Params, network: ContactList, touch
         operators = springs_and_dashpots(scene, params, network, touching_within)
     if operators is None:
         operators = linearised(scene, params, network, touching_within)
-    return _limit(operators, network.radius.size)
+    # Beside a margin of 0.8 three digits are enough where more would take minutes.
+    return _limit(operators, accuracy or (1e-6 if network.radius.size < 3000 else 1e-3))
 
 
 def springs_and_dashpots(
@@ -52,6 +56,8 @@ def springs_and_dashpots(
     cos, sin = np.asarray(network.cos, float)[closed], np.asarray(network.sin, float)[closed]
     share_of_contact = np.asarray(network.share, float)[closed]
     mass = float(np.asarray(material.density)) * 4 / 3 * np.pi * radius**3
+    if network.mass_factor is not None:
+        mass = mass * np.asarray(network.mass_factor, float)
     spins = scene_spins(scene, params)
     share = np.asarray(network.weight, float)
     scale, free = coordinates(network, mass, spins)
@@ -123,15 +129,12 @@ def springs_and_dashpots(
     return Operators(scale.size, stiff, viscous)
 
 
-def _limit(operators: Operators, balls: int) -> float:
+def _limit(operators: Operators, accuracy: float) -> float:
     """The critical time step of a linearised scene [T]."""
     from scipy.sparse.linalg import LinearOperator, eigsh
 
     size, stiff, viscous = operators
     start = np.random.default_rng(0).standard_normal(size)
-
-    # Beside a margin of 0.8 three digits are enough where more would take minutes.
-    accuracy = 1e-6 if balls < 3000 else 1e-3
 
     def fastest(action):
         operator = LinearOperator((size, size), action, dtype=float)

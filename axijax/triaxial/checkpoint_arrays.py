@@ -14,7 +14,7 @@ LENGTHS: dict[str, tuple[tuple[str | int, ...], ...]] = {
     r"network\.(first|second|image|cos|sin|branch\..|distance|overlap|share)": (("C",),),
     r"network\.pair_cube": ((), ("C",)),
     r"network\.(slot|side|slot_cos|slot_sin)": (("K", "N"),),
-    r"network\.(positions\..|radius|weight|free\..)": (("N",),),
+    r"network\.(positions\..|radius|weight|free\..|mass_factor)": (("N",),),
     r"membrane\.(zone|angle|share|counted)": (("Z",),),
     r"membrane\.direction": ((2, "Z"),),
     r"membrane\.(corner|turn_sign|turn_shift|flip_sign|flip_bottom|flip_top|owned|edge)": ((3, "T"),),

@@ -16,7 +16,7 @@ from axijax.core.tree import pytree
 from axijax.core.vector import Vector
 from axijax.mechanics.term import Push, Term
 from axijax.mechanics.walls import wall_force
-from axijax.triaxial.paths import Balance, Isotropic
+from axijax.triaxial.paths import Balance, Isotropic, layers
 
 PACE = 2e-3  # inertial number of the contraction
 BEARING = 0.7  # of the confining stress, felt by the platens, at which membrane and platens take over
@@ -44,7 +44,7 @@ class Container(Term):
         gap = (self.per_height * height).astype(network.dtype) - network.radius - rho
         wall = params.material.wall_law(network).at(gap)
         pressed = wall_force(gap, 0.0, wall.stiffness, None) / jnp.where(rho > 0, rho, 1.0)
-        drawn = params.material.mass_per_cube * network.radius**3 * (params.background_damping * self.speed)
+        drawn = params.material.mass(network) * (params.background_damping * self.speed)
         inward = drawn + pressed
         above = place.z - middle.astype(network.dtype)
         return Push(Vector(-place.x * inward, -place.y * inward, -above * drawn))
@@ -52,10 +52,25 @@ class Container(Term):
 
 @pytree
 @dataclass(frozen=True)
-class Contraction(Isotropic):
+class Compaction(Isotropic):
+    """Small balls are made heavier, since balance knows no masses; platens, and the rate at which balls are damped, are
+    those of true masses."""
+
+    def params(self, params, network, membrane, platens):
+        return super().params(params, replace(network, mass_factor=None), membrane, platens)
+
+    def platen_mass(self, params, network):
+        if network.mass_factor is None:
+            return super().platen_mass(params, network)
+        return (params.material.mass(network) * network.weight / network.mass_factor).sum() / layers(network)
+
+
+@pytree
+@dataclass(frozen=True)
+class Contraction(Compaction):
     """Balls, platens and a container contract alike until the platens feel nearly the confining stress.
 
-    per_height: radius of the container over its height [-]. The other fields are those of `Isotropic`.
+    per_height: radius of the container over its height [-]. The other fields are those of `Compaction`.
     """
 
     per_height: jax.Array | float = 0.25

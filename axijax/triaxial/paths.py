@@ -131,13 +131,11 @@ class Isotropic(Path):
     friction: in confinement; None, the paper's, lets a packing become as dense as it can [-].
     tolerance: unbalanced force and stress error that end it [-].
     most_steps: after which it ends in any case.
-    inertia: (N,) by which the balls' true masses are multiplied, since balance knows no masses; None for true ones [-].
     """
 
     friction: jax.Array | float | None = None
     tolerance: jax.Array | float = 1e-7
     most_steps: jax.Array | int = 20_000
-    inertia: jax.Array | None = None
 
     def scene(self, scene):
         """Spins only where there is friction."""
@@ -150,21 +148,19 @@ class Isotropic(Path):
         height = (platens[1] - platens[0]).astype(network.dtype)
         # How fast it settles is no property of where it settles, so it has no tangent.
         rate = jax.lax.stop_gradient(share * 2 * jnp.pi * wave_speed(params, network) / height)
-        heavier = {} if self.inertia is None else {"density": params.density * self.inertia}
-        return replace(params, damping=BackgroundDamping(rate), friction=self.friction, **heavier)
+        return replace(params, damping=BackgroundDamping(rate), friction=self.friction)
 
     def platen_speeds(self, params, network, dt, state, push, section):
         """Platens carried by s3: each has the mass of one layer of balls and is damped like them."""
-        layers = (network.positions.z.max() - network.positions.z.min()) / (2 * network.radius.mean()) + 1
-        cubes = network.weight * network.radius**3
-        if self.inertia is None:
-            mass = params.material.mass_per_cube * (cubes.sum() / layers)
-        else:
-            mass = (params.material.mass_per_cube * cubes / self.inertia).sum() / layers
+        mass = self.platen_mass(params, network)
         load = params.confining_stress * section
         half = 0.5 * dt * params.background_damping
         inward = jnp.array([1.0, -1.0], push.dtype) * (load - push) / mass
         return ((1 - half) * state.platen_speeds + dt * inward) / (1 + half)
+
+    def platen_mass(self, params: Params, network: ContactList):
+        """Of one layer of balls, () [M]."""
+        return params.material.mass_per_cube * ((network.weight * network.mass_cube).sum() / layers(network))
 
     def watch(self, seen, state):
         return Balance(seen.unbalanced_force, jnp.abs(seen.stress_ratio - 1).astype(state.displacement.x.dtype))
@@ -186,9 +182,16 @@ class Compression(Path):
         return jnp.array([1.0, -1.0], push.dtype) * params.platen_speed * x * x * (3 - 2 * x)
 
 
+def layers(network: ContactList):
+    """Number of layers of mean balls, one upon the other, () [-]."""
+    return (network.positions.z.max() - network.positions.z.min()) / (2 * network.radius.mean()) + 1
+
+
 def wave_speed(params: Params, network: ContactList):
     """P-wave speed of a close packing with stuck contacts, 2 r sqrt((kn + ks)/m) [L/T]; sets ramps and damping."""
     radius = network.radius.mean()
     mass = params.material.mass_per_cube * radius**3
+    if network.mass_factor is not None:  # of a wave many balls long, whose density counts
+        mass *= (network.weight * network.mass_cube).sum() / (network.weight * network.radius**3).sum()
     normal, shear = params.material.confined_stiffness(network, params.confining_stress)
     return 2 * radius * ((normal + shear) / mass) ** 0.5

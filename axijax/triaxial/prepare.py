@@ -13,6 +13,7 @@ from axijax.core.shown import shown
 from axijax.mechanics.contact_list import ContactList, build_contact_list
 from axijax.mechanics.contact_search import grid_for
 from axijax.mechanics.dynamics import Scene
+from axijax.mechanics.mass_scaling import check_quasi_static, scaled
 from axijax.mechanics.membrane import Load, Membrane, build_membrane, check_load, sloping
 from axijax.mechanics.params import Params, check_params
 from axijax.mechanics.rebuild import LARGEST_OVERLAP, roomy_lists
@@ -136,6 +137,9 @@ def prepare(test: "TriaxialTest") -> Prepared:
                 "membrane's place; leave out one of them."
             )
         membrane = sloping(membrane, cut, tied=test.scene.membrane == "tied")
+    if test.mass_scaling is not None:
+        network = scaled(test.scene, params, network, test.mass_scaling)
+        check_masses(test, params, network)
     step = test.time_step
     if step is None or not test.allow_unsafe_step:
         limit = critical_time_step(test.scene, params, network)
@@ -177,10 +181,18 @@ def prepare(test: "TriaxialTest") -> Prepared:
     )
 
 
+def check_masses(test: "TriaxialTest", params: Params, network: ContactList) -> None:
+    """Raise ValueError where masses are scaled and a test with these parameters would not be quasi-static."""
+    if test.mass_scaling is not None:
+        given = [getattr(getattr(path, "platens", None), "speed", None) for path in test.stages or (None,)]
+        fastest = max(float(params.platen_speed if speed is None else speed) for speed in given)
+        check_quasi_static(params, network, 2 * fastest / test.cut.height, test.mass_scaling)
+
+
 def _durations(test: "TriaxialTest", params: Params, network: ContactList, ramp: float) -> list[float]:
     """How long the stages of a test take at most [T]. Raises ValueError where one makes no sense, or has no end."""
     stress, height = float(params.confining_stress), test.cut.height
-    density = float(np.sum(params.material.mass_per_cube * network.weight * network.radius**3)) / (
+    density = float(np.sum(params.material.mass_per_cube * network.weight * network.mass_cube)) / (
         height * float(network.sector.angle) / 2 * float(np.hypot(*test.cut.positions[:2]).max()) ** 2
     )
     stiffness = density * float(wave_speed(params, network)) ** 2

@@ -17,7 +17,7 @@ from axijax.mechanics.rebuild import rebuild_on_host
 from axijax.mechanics.state import State
 from axijax.mechanics.time_step import check_step, critical_time_step
 from axijax.triaxial.engine import fixed_load, march_until
-from axijax.triaxial.prepare import warn_of_slipping
+from axijax.triaxial.prepare import check_masses, warn_of_slipping
 from axijax.triaxial.records import Confinement, Curve, make_curve, no_records, raise_for_status
 from axijax.triaxial.stages import settle, start_loading, start_shear, start_stage
 
@@ -117,6 +117,7 @@ def begin(test: "TriaxialTest", params: Params) -> Progress:
     check_params(params, len(test.cut))
     if params is not test.params:
         warn_of_slipping(params, test.confining_friction)
+        check_masses(test, params, prepared.network)
     if params is not test.params and not test.allow_unsafe_step:
         check_step(prepared.time_step, critical_time_step(test.scene, params, prepared.network))
     lists, confined, balance = settle(

@@ -24,6 +24,7 @@ from axijax.core.bars import telling
 from axijax.core.platform import require_64_bits
 from axijax.core.sector import Sector, plane_normals
 from axijax.core.vector import from_rows
+from axijax.mechanics.contact_list import with_mass_factor
 from axijax.mechanics.contacts import geometry
 from axijax.mechanics.dynamics import Scene, all_forces, positions
 from axijax.mechanics.hertz import Hertz
@@ -37,11 +38,10 @@ from axijax.mechanics.volume import void_ratio as below_skin
 from axijax.specimen.fabric import contact_statistics, inside_balls, measured, pairs_within, sample_points
 from axijax.specimen.grading import Grading, linear
 from axijax.specimen.specimen import Specimen, check_positive
-from axijax.triaxial.compaction import Contraction
+from axijax.triaxial.compaction import Compaction, Contraction
 from axijax.triaxial.density import SEEDS, bounds, library, sought
 from axijax.triaxial.feasible import check_feasible
 from axijax.triaxial.packing_report import PackingReport
-from axijax.triaxial.paths import Isotropic
 from axijax.triaxial.stages import settle
 from axijax.triaxial.uniformity import core_stress, trends
 
@@ -129,7 +129,7 @@ def random_cylinder(
         rng = np.random.default_rng(seed)
         # Near to what compaction will reach, so that it hardly changes the shape.
         loose = _grown(radii, sector, aspect_ratio, 0.6 - 0.1 * friction / (friction + 0.15), rng)
-        path = Isotropic(float(friction) or None, tolerance, most_steps)
+        path = Compaction(float(friction) or None, tolerance, most_steps)
         cut, report = _compacted(loose, sector, params, path)
         known = {"fractions": grading.fractions(radii), "warnings": told, "sieves": _sieves(grading, radii)}
         return cut, replace(report, grading=grading.name, seed=seed, **known)
@@ -222,17 +222,17 @@ def _grown(radius: np.ndarray, sector: Sector, aspect_ratio: float, solid_fracti
     return Specimen(place, radius, 0.0, height, zone, "random cylinder", "exposure")
 
 
-def _compacted(loose: Specimen, sector: Sector, params: Params, path: Isotropic):
+def _compacted(loose: Specimen, sector: Sector, params: Params, path: Compaction):
     """A sector's balls in balance at the confining stress, and the report of it but for grading and seed."""
-    lists = roomy_lists(loose, sector)
+    network, membrane = roomy_lists(loose, sector)
     inertia, least = _inertia(loose.radius)
-    path = replace(path, inertia=inertia)
+    lists = with_mass_factor(network, inertia), membrane
     mass = float(params.density) * (4 / 3) * np.pi * least**3
     # The limit of twelve contacts a ball, which no ball of the smallest size exceeds (PHYSICS 3.5).
     dt = float(DEFAULT_STEP * np.sqrt(mass / (10 * max(float(params.normal_stiffness), float(params.shear_stiffness)))))
     wide, state, begun = (np.hypot(*loose.positions[:2]) + loose.radius).max(), None, 0
     if _hollow(loose.radius.mean(), sector) < HOLLOW * wide:
-        together = Contraction(path.friction, path.tolerance, path.most_steps, inertia, wide / loose.height)
+        together = Contraction(path.friction, path.tolerance, path.most_steps, wide / loose.height)
         lists, state, contracted = settle(Scene(), together, loose, lists, dt, params)
         state, begun = state._replace(memory=state.memory[:-1]), int(contracted.steps)  # the container has no memory
     (network, membrane), state, balance = settle(Scene(), path, loose, lists, dt, params, start=state)

@@ -133,10 +133,10 @@ class Stage(Path):
         height = state.platens[1] - state.platens[0]
         pressed = dataclasses.replace(params, confining_stress=loading.lateral_stress)
         speed = wave_speed(pressed, network)
-        mass = params.material.mass_per_cube * (network.weight * network.radius**3).sum()
+        mass = params.material.mass_per_cube * (network.weight * network.mass_cube).sum()
         density = mass / (load.section * height)
         inward, arm = _inward(network, load, state)
-        each = params.material.mass_per_cube * network.radius**3
+        each = params.material.mass(network)
         start = Start(
             shortening=loading.height - height,
             axial_strain=jnp.log(loading.height / height),

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -88,6 +89,14 @@ class TriaxialTest:
         "random specimen keeps its density under the friction with which it was compacted",
         "-",
     )
+    mass_scaling: float | None = setting(
+        None,
+        "how many times longer the critical time step becomes by making the balls that set it heavier, the small ones "
+        "of a wide grading; refused where a ball's inertial number would be above 1e-3; left out, masses are true",
+        "-",
+        above=1.0,
+        most=100.0,
+    )
     stages: tuple[LoadingPath, ...] = ()
     lateral_load: Load | None = None
     dtype: type = np.float64
@@ -117,9 +126,11 @@ class TriaxialTest:
             return prepare(self)
 
     @property
-    def derived(self) -> dict[str, float]:
+    def derived(self) -> dict[str, Any]:
         """What follows from the settings by a rule of this program, for `axijax.core.fingerprint`."""
-        return {"time_step": float(self.prepared.time_step), "ramp_time": float(self.prepared.ramp_time)}
+        found = {"time_step": float(self.prepared.time_step), "ramp_time": float(self.prepared.ramp_time)}
+        factor = self.prepared.network.mass_factor
+        return found if factor is None else found | {"mass_factor": factor}
 
     @property
     def network(self) -> ContactList:

@@ -63,6 +63,8 @@ def _print_forecast(found: "Forecast") -> None:
         "steps": f"{found.shear_steps} of shear with {found.records} records, after about {found.confinement_steps} of "
         "confinement",
     }
+    if found.heaviest is not None:
+        lines["masses"] = f"up to {found.heaviest:.3g} times the true ones; the inertial number is the largest"
     if found.seconds is not None and found.ball_steps_per_second is not None:
         lines["time"] = (
             f"about {_duration(found.seconds)}, compiling included, at {found.ball_steps_per_second / 1e6:.2g} million "
