@@ -273,10 +273,10 @@ def test_the_guard_catches_the_silent_wrong_peaks(damping, step, friction):
 @pytest.mark.parametrize(
     ("damping", "step", "friction", "boundary", "axial_strain"),
     [
-        (LocalDamping(), 0.24, 0.3, "periodic", 0.006),
-        (LocalDamping(), 0.25, 0.05, "periodic", 0.006),
-        (LocalDamping(), 0.25, 0.12278, "periodic", 0.05),
-        (LocalDamping(), 0.25, 0.12278, "rigid", 0.006),
+        (LocalDamping(), 0.24, 0.3, "periodic", 0.006),  # the limit is 0.245, and past it contacts may chatter indeed
+        (LocalDamping(), 0.24, 0.05, "periodic", 0.006),
+        (LocalDamping(), 0.24, 0.12278, "periodic", 0.05),
+        (LocalDamping(), 0.24, 0.12278, "rigid", 0.006),
         (Dashpot(0.05), 0.15, 0.02, "periodic", 0.006),
         (Dashpot(0.05), 0.15, 0.12278, "rigid", 0.006),
         (Dashpot(0.05), 0.15, 0.3, "periodic", 0.05),
