@@ -49,9 +49,7 @@ def width_of_a_pipe():
 
 
 # Modules whose programs run long, or that are about how programs are compiled.
-THOROUGH = (
-    "test_platform", "test_table1", "test_symmetry", "test_thornton", "test_gradients", "test_volume", "test_time_step",
-)  # fmt: skip
+THOROUGH = ("test_platform", "test_table1", "test_symmetry", "test_thornton", "test_gradients", "test_time_step")
 
 
 @pytest.fixture(scope="module", autouse=True)

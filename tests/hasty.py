@@ -4,6 +4,7 @@ XLA's older emitters without optimisation compile a test's programs in a third o
 the speed. Results differ in rounding only.
 """
 
+import os
 from contextlib import contextmanager
 from functools import cache, partial
 
@@ -44,9 +45,13 @@ def _switch(on: bool) -> bool:
         jax.clear_caches()
         jax.config.update("jax_disable_most_optimizations", on)
         compiler.get_compile_options = partial(_get, _older_emitters()) if on else _plain
+        # Processes that a test starts compile as it does, or their results would differ in the last bits.
+        flags = os.environ.get("XLA_FLAGS", "").replace(_flags(), "").strip()
+        os.environ["XLA_FLAGS"] = f"{flags} {_flags()}" if on else flags
     return was
 
 
-def flags() -> str:
-    """XLA_FLAGS that do the same to a process of its own."""
-    return " ".join(["--xla_backend_optimization_level=0", *(f"--{name}=false" for name in _older_emitters())])
+def _flags() -> str:
+    """Of XLA, which do the same to a process of its own."""
+    options = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": "true"}
+    return " ".join(f"--{name}={str(value).lower()}" for name, value in {**options, **_older_emitters()}.items())

@@ -8,7 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import hasty
 import jax
 import pytest
 from cli_in_process import axijax
@@ -181,8 +180,8 @@ def python_blocks(first_case):
             pages.setdefault(tuple(found), each)
     cache = {  # of compiled programs, of which other tests need some; scripts have none unless they ask for it
         "JAX_COMPILATION_CACHE_DIR": jax.config.values["jax_compilation_cache_dir"],
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.05", "XLA_FLAGS": hasty.flags(),
-    }  # fmt: skip
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.05",
+    }
     result = subprocess.run(
         [sys.executable, "-c", PAGES, *map(str, pages.values())], capture_output=True, text=True, cwd=folder,
         timeout=1200, env={**os.environ, **cache, "PYTHONPATH": os.pathsep.join((str(ROOT), str(GUIDE)))},
