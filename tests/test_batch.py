@@ -304,7 +304,6 @@ class TestSweepFile:
 
 def process(cache: Path | str, *arguments) -> subprocess.Popen:
     environment = {**os.environ, "AXIJAX_CACHE": str(cache), "PYTHONPATH": os.pathsep.join(sys.path)}
-    environment.pop("XLA_FLAGS", None)
     command = [sys.executable, str(Path(__file__).with_name("batch_process.py")), *map(str, arguments)]
     return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 

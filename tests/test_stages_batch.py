@@ -1,22 +1,31 @@
 """Tests in stages: many at once, in float32, and by reverse mode."""
 
 import csv
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from cli_in_process import axijax as command
-from stages_reverse_mode import TEST
 
+from axijax import Params, Sector, TriaxialTest, fcc_octagon
 from axijax.app.executors import open_executor
 from axijax.batch import Member, open_batch, parameter_grid, run_batch
 from axijax.triaxial.records import records_of
 from axijax.triaxial.stage_types import stage
 
+TEST = TriaxialTest(
+    fcc_octagon(layers=3, half_width=3),
+    Sector(4),
+    params=Params(friction=0.2, platen_speed=0.05),
+    stages=(
+        stage("compression", lateral="constant_volume", axial_strain=4e-4),
+        stage("extension", deviator_stress=0.0, axial_strain=-1e-3),
+    ),
+    tolerance=1e-4,
+    record_every=20,
+)
 FRICTIONS = [0.1, 0.3]
 UNABLE = Member(
     "unable",
@@ -98,8 +107,17 @@ def test_float32_follows_the_same_stages():
 
 @pytest.mark.slow
 def test_reverse_mode_is_the_tangent_along_a_path():
-    """In a process of its own, without the fast kernels, with which it would be refused."""
-    script = Path(__file__).with_name("stages_reverse_mode.py")
-    environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
-    done = subprocess.run([sys.executable, script], env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr[-2000:]
+    """A mean of the stresses, derived by the friction of each ball: along a direction it must be the tangent."""
+
+    def mean_stress(friction):
+        curve = TEST.simulate(replace(TEST.params, friction=friction))
+        s3 = curve.lateral_stress / TEST.params.confining_stress
+        return (s3 * (curve.stress_ratio + 2)).mean() + 1e3 * curve.axial_strain.mean()
+
+    count = len(TEST.cut)
+    friction = 0.2 + 0.02 * jnp.sin(jnp.arange(count))
+    way = jnp.asarray(np.random.default_rng(0).normal(size=count))
+    back = np.asarray(jax.jit(jax.grad(mean_stress))(friction))
+    ahead = float(jax.jit(lambda f: jax.jvp(mean_stress, (f,), (way,))[1])(friction))
+    assert np.isfinite(back).all() and abs(ahead) > 1e-3
+    np.testing.assert_allclose(back @ np.asarray(way), ahead, rtol=1e-8)
