@@ -16,8 +16,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from axijax.app.labels import LETTERS, readable
-from axijax.app.overwrite import SNAPSHOTS
-from axijax.app.results import Result
+from axijax.app.results import SNAPSHOTS, Result
 from axijax.core.files import write_whole
 from axijax.core.palette import COLOURS
 

@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from axijax.app.paraview import is_snapshot_file
-from axijax.app.results import STATUSES
+from axijax.app.results import SNAPSHOTS, STATUSES
 from axijax.app.specimen_file import NAME
 from axijax.core.files import remove_leftovers, write_whole
 
 CURVES = ("curve.nc", "curve.csv", "curve.png", "partial_curve.nc")
 # In the order in which they are removed: what is left at any moment tells no more than is true.
 FILES = (*CURVES, "checkpoint.npz", "case.toml", NAME)
-SNAPSHOTS = ("snapshots", "snapshots-full")  # of the sector, and of the whole cylinder
 PICTURES, REPORT = "pictures", "report.html"  # where `axijax plot` and `axijax report` write by default
 SHOWN = 20  # names in a sentence
 

@@ -41,6 +41,7 @@ MEMBERS = "members"  # the folder of a batch's files
 STRAIN = "axial_strain"
 
 # How a run can stand; `run.json` says which.
+SNAPSHOTS = ("snapshots", "snapshots-full")  # folders: of the sector, and of the whole cylinder
 STATUSES = ("running", "interrupted", "failed", "finished")
 
 

@@ -13,13 +13,11 @@ up about its axis. A force normal to the membrane's surface, with a part along z
 """
 
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial import Delaunay
 
 from axijax.core.gather import added, gathered
 from axijax.core.once import computed_once
@@ -27,6 +25,7 @@ from axijax.core.sector import Sector, radial_distance
 from axijax.core.shown import shown
 from axijax.core.vector import Vector, from_rows
 from axijax.mechanics.membrane_surface import Surface, axial_areas, fitted_profile
+from axijax.mechanics.triangulation import neighbours_median, surface_triangles
 from axijax.specimen.specimen import Specimen, ZoneRule
 
 
@@ -198,21 +197,6 @@ def middle_radius(rho: np.ndarray, zone_rule: ZoneRule) -> float:
     return rho.mean() if zone_rule == "exposure" else (rho.min() + rho.max()) / 2
 
 
-def surface_triangles(places, owned):
-    """Delaunay triangles (3, T) with an owned corner, counter-clockwise."""
-    corners = _triangles(np.asarray(places, float).tobytes()).T.copy()
-    a, b, c = places[:, corners[0]], places[:, corners[1]], places[:, corners[2]]
-    clockwise = _cross(b - a, c - a) < 0
-    corners[1:, clockwise] = corners[:0:-1, clockwise]
-    return corners[:, owned[corners].any(axis=0)]
-
-
-@lru_cache(maxsize=4)  # a zone found again, its holes and its membrane ask for the same ones, one after the other
-def _triangles(places: bytes) -> np.ndarray:
-    """Delaunay triangles (T, 3) of places (2, C) in float64, not to be written to."""
-    return Delaunay(np.frombuffer(places).reshape(2, -1).T).simplices
-
-
 def unfolded_copies(theta, z, middle, bottom, top, sector: Sector):
     """The zone's balls and the copies that shape their cells: one period to either side, or a mirror image in either
     rigid plane, and all of these mirrored in either platen.
@@ -251,22 +235,6 @@ def unfolded_copies(theta, z, middle, bottom, top, sector: Sector):
             codes.append(np.stack([sign * one, moved, flip * one, at_bottom * one, at_top * one, original * one]))
             owners.append(kept)
     return np.concatenate(places, 1), np.concatenate(codes, 1), np.concatenate(owners), 1 / (1 + same)
-
-
-def neighbours_median(values, corners):
-    """Median over each ball's neighbours on the surface, of values (Z,) one a ball; its own value where it has none.
-
-    corners: (3, T), the zone's balls at the triangles' corners.
-    """
-    ball, near = np.concatenate([corners[[0, 1, 2, 1, 2, 0]], corners[[1, 2, 0, 0, 1, 2]]], axis=1).reshape(2, -1)
-    ball, near = np.divmod(np.unique((ball * values.size + near)[ball != near]), values.size)
-    if not ball.size:
-        return values.copy()
-    ordered = values[near[np.lexsort((values[near], ball))]]
-    sizes = np.bincount(ball, minlength=values.size)
-    first = np.cumsum(sizes) - sizes
-    middle = np.clip([first + (sizes - 1) // 2, first + sizes // 2], 0, ordered.size - 1)
-    return np.where(sizes > 0, ordered[middle].mean(axis=0), values)
 
 
 def _within_surface(rho, radius, corners):
@@ -421,7 +389,3 @@ def _corner_places(membrane, positions, bottom, top, radius):
     across = membrane.turn_sign * theta + membrane.turn_shift
     height = membrane.flip_sign * z + membrane.flip_bottom * bottom + membrane.flip_top * top
     return jnp.stack([radius * across, height])
-
-
-def _cross(u, v):
-    return u[0] * v[1] - u[1] * v[0]

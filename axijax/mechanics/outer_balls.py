@@ -15,7 +15,8 @@ import numpy as np
 from scipy.spatial import Voronoi
 
 from axijax.core.sector import Sector
-from axijax.mechanics.membrane import middle_radius, neighbours_median, surface_triangles, unfold, unfolded_copies
+from axijax.mechanics.membrane import middle_radius, unfold, unfolded_copies
+from axijax.mechanics.triangulation import neighbours_median, surface_triangles
 from axijax.specimen.specimen import Specimen, ZoneRule
 
 SIGHT = 0.6  # part of its disc that must be in sight for a ball to be an outer one
