@@ -52,8 +52,15 @@ def width_of_a_pipe():
 THOROUGH = ("test_platform", "test_table1", "test_symmetry", "test_thornton", "test_gradients", "test_time_step")
 
 
+@pytest.fixture(scope="session", autouse=True)
+def haste():
+    """What is made once a session is made so too."""
+    with hasty():
+        yield
+
+
 @pytest.fixture(scope="module", autouse=True)
-def haste(request):
+def haste_of_a_module(request, haste):
     with hasty(request.path.stem not in THOROUGH):
         yield
 
