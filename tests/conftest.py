@@ -48,8 +48,10 @@ def width_of_a_pipe():
     os.environ.pop("COLUMNS", None)
 
 
-# Modules whose programs run long, or that are about how programs are compiled.
-THOROUGH = ("test_platform", "test_table1", "test_symmetry", "test_thornton", "test_gradients", "test_time_step")
+# Modules whose programs run long, that validate the kernels as users have them, or hold two programs to the same bits.
+THOROUGH = (
+    "test_platform", "test_table1", "test_symmetry", "test_thornton", "test_gradients", "test_time_step", "test_terms",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="session", autouse=True)
