@@ -259,8 +259,7 @@ def uncertainty(parameters: ParameterSet, residual, weighted_jacobian, sigma_kno
     size = 1.0 if sigma_known or freedom <= 0 else scatter
     # A tiny scatter (data made by the program itself) must not hide a direction that nothing feels.
     felt = values > 1e-8 * max(values[0], 1e-300)
-    with np.errstate(divide="ignore"):
-        variance = np.where(felt, (size / np.where(felt, values, 1.0)) ** 2, 1e6)
+    variance = np.where(felt, (size / np.where(felt, values, 1.0)) ** 2, 1e6)
     covariance = (right.T * np.minimum(variance, 1e6)) @ right
     spread = np.sqrt(np.diag(covariance))
     warnings = []

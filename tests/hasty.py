@@ -6,27 +6,17 @@ the speed. Results differ in rounding only.
 
 import os
 from contextlib import contextmanager
-from functools import cache, partial
+from functools import cache
 
 import jax
 from jax._src import compiler
 
+HASTE = {
+    "xla_backend_optimization_level": 0,
+    "xla_llvm_disable_expensive_passes": True,
+    "xla_cpu_use_fusion_emitters": False,
+}
 _plain = compiler.get_compile_options
-
-
-@cache
-def _older_emitters() -> dict:
-    """XLA's option for them, if this version has it."""
-    options = {"xla_cpu_use_fusion_emitters": False}
-    try:
-        jax.jit(lambda x: x + 1, compiler_options=options).lower(1.0).compile()
-    except (RuntimeError, ValueError):
-        return {}
-    return options
-
-
-def _get(options: dict, *args, env_options_overrides=None, **keywords):
-    return _plain(*args, env_options_overrides={**options, **(env_options_overrides or {})}, **keywords)
 
 
 @contextmanager
@@ -43,15 +33,31 @@ def _switch(on: bool) -> bool:
     was = compiler.get_compile_options is not _plain
     if on != was:
         jax.clear_caches()
-        jax.config.update("jax_disable_most_optimizations", on)
-        compiler.get_compile_options = partial(_get, _older_emitters()) if on else _plain
         # Processes that a test starts compile as it does, or their results would differ in the last bits.
-        flags = os.environ.get("XLA_FLAGS", "").replace(_flags(), "").strip()
-        os.environ["XLA_FLAGS"] = f"{flags} {_flags()}" if on else flags
+        ours = _flags()
+        flags = os.environ.get("XLA_FLAGS", "").replace(ours, "").strip()
+        os.environ["XLA_FLAGS"] = f"{flags} {ours}" if on else flags
+        compiler.get_compile_options = _in_haste if on else _plain
     return was
 
 
+def _in_haste(*args, env_options_overrides=None, **keywords):
+    return _plain(*args, env_options_overrides={**_known(), **(env_options_overrides or {})}, **keywords)
+
+
+@cache
+def _known() -> dict:
+    """Those options that this version of XLA has; asked for the first time while programs are compiled thoroughly."""
+
+    def has(name: str) -> bool:
+        try:
+            jax.jit(lambda x: x + 1, compiler_options={name: HASTE[name]}).lower(1.0).compile()
+        except (RuntimeError, ValueError):
+            return False
+        return True
+
+    return {name: value for name, value in HASTE.items() if has(name)}
+
+
 def _flags() -> str:
-    """Of XLA, which do the same to a process of its own."""
-    options = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": "true"}
-    return " ".join(f"--{name}={str(value).lower()}" for name, value in {**options, **_older_emitters()}.items())
+    return " ".join(f"--{name}={str(value).lower()}" for name, value in _known().items())

@@ -109,10 +109,6 @@ def looped():
     specimen = fcc_octagon(layers=5, half_width=5)
     test = TriaxialTest(specimen, Sector(4), params=params, stages=stages, tolerance=1e-6, record_every=25)
     model = Model(test, "kn,ks/kn")
-    # Small programs that run briefly: not worth optimising.
-    quick = {"compiler_options": {"xla_backend_optimization_level": 0}}
-    model._value = jax.jit(model.curve, **quick)
-    model._pass = jax.jit(model._value_and_tangents, **quick)
     curve = model.run(model.parameters.coordinates({"kn": TRUTH["normal_stiffness"], "ks/kn": 0.7 / 1.15}))
     path = np.concatenate([[0.0], np.abs(np.diff(curve.axial_strain)).cumsum()])
     turns = path[reversals(curve.axial_strain, 1e-5)]  # which a laboratory records too

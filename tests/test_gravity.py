@@ -1,6 +1,5 @@
 """Gravity as a term: free fall, its work in the ledger, its derivative, and where it is refused."""
 
-from functools import partial
 
 import jax
 import numpy as np
@@ -14,9 +13,6 @@ from axijax.mechanics.gravity import Gravity
 from axijax.mechanics.membrane import Load
 from axijax.mechanics.params import Params
 from axijax.specimen.specimen import Specimen
-
-# Small programs that run briefly: not worth optimising.
-jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 
 def scene_of(gravity, heights=(1.0,), platens=(-1e6, 1e6), **named):
@@ -37,7 +33,7 @@ def test_free_fall(acceleration):
     x, y, z = acceleration
     params, network, load, state = scene_of(Gravity(z, x, y))
     step, dt, steps = make_step(Scene(), held), 0.1, 200
-    state = jit(lambda s: jax.lax.fori_loop(0, steps, lambda _, s: step(params, network, load, dt, s), s))(state)
+    state = jax.jit(lambda s: jax.lax.fori_loop(0, steps, lambda _, s: step(params, network, load, dt, s), s))(state)
     # Velocities are half a step behind and start from rest there: the sum of 1 + 2 + ... is n (n + 1)/2.
     fallen = np.array(acceleration) * dt**2 * steps * (steps + 1) / 2
     np.testing.assert_allclose(np.asarray(state.displacement)[:, 0], fallen, rtol=1e-12)
@@ -48,7 +44,7 @@ def test_work_of_gravity_closes_the_ledger_of_a_bouncing_pair():
     step, dt = make_ledger_step(Scene(), held), 0.05
     both = state, open_ledger()
     first = energy_balance(Scene(), params, network, load, dt, *both)
-    both = jit(lambda b: jax.lax.fori_loop(0, 2000, lambda _, b: step(params, network, load, dt, b), b))(both)
+    both = jax.jit(lambda b: jax.lax.fori_loop(0, 2000, lambda _, b: step(params, network, load, dt, b), b))(both)
     last = energy_balance(Scene(), params, network, load, dt, *both)
     assert float(last.other_work) > 1e-8  # it came down
     assert float(last.damping) > 0.1 * float(last.other_work)
@@ -56,7 +52,7 @@ def test_work_of_gravity_closes_the_ledger_of_a_bouncing_pair():
 
 
 def test_derivative_by_gravity():
-    @jit
+    @jax.jit
     def height(gravity):
         params, network, load, state = scene_of(Gravity(gravity), (1.0, 3.0), (0.0, 1e6))
         step = make_step(Scene(), held)

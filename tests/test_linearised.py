@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import axijax.mechanics.linearised
 from axijax import Hertz, Params, Rolling, Scene, Sector, Specimen, Torsion, TriaxialTest, fcc_octagon
 from axijax.core.quantity import quantity
 from axijax.core.tree import pytree
@@ -27,18 +26,6 @@ QUARTER, HALF, FULL, RIGID = Sector(4), Sector(2), Sector(1), Sector(4, "rigid")
 PLAIN = Scene()
 # So little load that a contact's own force, which turns with it, counts for nothing beside its stiffness.
 SLIGHT = {"confining_stress": 1e-3}
-
-
-@pytest.fixture(autouse=True, scope="module")
-def brief():
-    """Many small programs that run briefly: not worth optimising."""
-    with pytest.MonkeyPatch.context() as patch:
-        program = axijax.mechanics.linearised._response.__wrapped__
-        level = {"xla_backend_optimization_level": 0}
-        patch.setattr(
-            axijax.mechanics.linearised, "_response", jax.jit(program, static_argnums=0, compiler_options=level)
-        )
-        yield
 
 
 @lru_cache

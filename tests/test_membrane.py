@@ -53,8 +53,7 @@ def random_zone(sector, seed=0, count=COUNT):
     return zone_specimen(*places, rng.uniform(9, 10, count))
 
 
-jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
-fast_areas, fast_stale = jit(cell_areas), jit(stale_cells)
+fast_areas, fast_stale = jax.jit(cell_areas), jax.jit(stale_cells)
 
 
 def membrane_of(specimen, sector):
@@ -186,7 +185,7 @@ def test_equal_balls_on_a_grid_have_equal_cells(order, on_plate):
 def test_the_section_is_that_of_the_sector_of_radius_rm():
     """What the platens carry: 1/n of the circle of radius Rm, which times H is the strip's area times Rm/2."""
     specimen, sector = random_zone(Sector(6)), Sector(6)
-    load = jit(membrane_load)(membrane_of(specimen, sector), from_rows(specimen.positions), 0.0, HEIGHT)
+    load = jax.jit(membrane_load)(membrane_of(specimen, sector), from_rows(specimen.positions), 0.0, HEIGHT)
     radius = strip_area(specimen, sector) / (sector.angle * HEIGHT)
     assert float(load.section) == pytest.approx(np.pi * radius**2 / 6, rel=1e-12)
     np.testing.assert_allclose(load.lateral, areas_of(specimen, sector), rtol=1e-12)
@@ -200,7 +199,7 @@ def test_derivatives_of_the_areas_against_differences(sector):
     rng = np.random.default_rng(1)
     start = (from_rows(specimen.positions), 0.0, HEIGHT)
     along = (from_rows(rng.normal(size=specimen.positions.shape)), 0.4, -0.7)
-    tangent = jit(lambda start, along: jax.jvp(partial(cell_areas, membrane), start, along)[1])(start, along)
+    tangent = jax.jit(lambda start, along: jax.jvp(partial(cell_areas, membrane), start, along)[1])(start, along)
 
     def areas(h):
         return fast_areas(membrane, *jax.tree.map(lambda value, rate: value + h * rate, start, along))
@@ -308,7 +307,7 @@ def test_spin_of_the_specimen_is_not_driven():
         orbital = mass * (x * state.velocity.y - y * state.velocity.x)
         return (orbital + 0.4 * mass * network.radius**2 * state.spin.z).sum()
 
-    @jit
+    @jax.jit
     def run(state):
         def block(state, _):
             load = membrane_load(membrane, positions(network, state), *state.platens)

@@ -4,7 +4,7 @@ central differences, and with its energy where it has one. The code under test i
 import sys
 import types
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 
 import jax
@@ -26,9 +26,6 @@ from calibrate import Datum
 PAGE = Path(__file__).parent.parent / "examples" / "where_to_add.md"
 sys.path.insert(0, str(PAGE.parent / "guide"))
 from run_pages import blocks  # noqa: E402
-
-# Small programs that run briefly: not worth optimising.
-jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 
 def code_of_the_page() -> types.ModuleType:
@@ -69,16 +66,16 @@ def motion(params, network, state, dt, steps):
     return jax.lax.fori_loop(0, steps, lambda _, s: step(params, network, NO_LOAD, dt, s), state)
 
 
-after = jit(motion)
+after = jax.jit(motion)
 
 
-@jit
+@jax.jit
 def derivative(params, tangent, network, state, dt, steps):
     """The state after so many steps, and its derivative."""
     return jax.jvp(lambda p: motion(p, network, state, dt, steps), (params,), (tangent,))
 
 
-@jit
+@jax.jit
 def ledger(params, network, state, dt, steps):
     """The energy balance before the first and after so many steps."""
     step = make_ledger_step(Scene(), still)
@@ -241,7 +238,7 @@ def measured():
         curve, found = page.simulate_measuring(replace(prepared, shear=path), here, mean_overlap)
         return curve, found, TARGET.predict(curve)
 
-    return jit(lambda at, along: jax.jvp(values, (at,), (along,)))
+    return jax.jit(lambda at, along: jax.jvp(values, (at,), (along,)))
 
 
 def test_a_path_of_ones_own_reaches_its_ratio():
@@ -260,7 +257,7 @@ def test_a_path_of_ones_own_is_a_stage_among_others():
     specimen = fcc_octagon(layers=3, half_width=3)
     stages = page.StressRatio(RATIO, 5.0, 4.0), stage("hold", time=2.0)
     test = TriaxialTest(specimen, params=params, stages=stages, tolerance=1e-8)
-    curve = jit(simulate.__wrapped__)(test.prepared, params)
+    curve = jax.jit(simulate.__wrapped__)(test.prepared, params)
     assert int(curve.status) == 0
     own, held = (np.asarray(curve.stage) == number for number in (1, 2))
     ratio, strain = np.asarray(curve.stress_ratio), np.asarray(curve.axial_strain)
@@ -292,7 +289,7 @@ def test_derivative_of_a_whole_test(number):
 def test_simulate_takes_the_path():
     """The same curve with what is recorded besides as without."""
     params, prepared = whole_test()
-    plain = jit(simulate.__wrapped__)(prepared, params)
+    plain = jax.jit(simulate.__wrapped__)(prepared, params)
     beside = measured()(jnp.ones(3), jnp.zeros(3))[0][0]
     np.testing.assert_allclose(plain.axial_strain, beside.axial_strain, atol=1e-12)
     np.testing.assert_allclose(plain.stress_ratio, beside.stress_ratio, atol=1e-9)

@@ -69,12 +69,10 @@ def motion_of(network, state):
     return Motion(*(np.asarray(v) for v in (positions(network, state), state.velocity, state.spin)))
 
 
-# Many small programs that run briefly: not worth optimising.
-jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
-forces_on = jit(all_forces, static_argnums=0)
+forces_on = jax.jit(all_forces, static_argnums=0)
 
 
-@jit
+@jax.jit
 def advance(steps, params, network, trap, state):
     """Steps with fixed platens in a harmonic trap of stiffness trap (N,)."""
     step = make_step(SCENE, lambda params, network, dt, state, push, area: jnp.zeros(2))

@@ -3,7 +3,7 @@
 import re
 import tomllib
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import jax
 import jax.numpy as jnp
@@ -25,9 +25,7 @@ from axijax.triaxial.engine import current_load
 from axijax.triaxial.progress import fit_for_stages
 from axijax.triaxial.stage import Stage, Until
 
-# Small programs that run briefly: not worth optimising.
-jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
-simulate = jit(functions.simulate.__wrapped__)
+simulate = jax.jit(functions.simulate.__wrapped__)
 
 # Friction that lets nothing slip on the way, so that the lattice is elastic.
 STICKY = Params(friction=0.9, platen_speed=0.004)
@@ -368,7 +366,7 @@ def worst_derivative(stages, params, h=1e-4):
         found = curve.axial_strain[kept] * 1e3, s3, s3 * curve.stress_ratio[kept]
         return jnp.stack([values.mean() for values in found])
 
-    program = jit(lambda at, along: jax.jvp(seen, (at,), (along,)))
+    program = jax.jit(lambda at, along: jax.jvp(seen, (at,), (along,)))
     errors = []
     for along in np.eye(len(NAMES)):
         _, slope = program(jnp.zeros(len(NAMES)), along)
@@ -413,7 +411,7 @@ def unaccounted(path, steps, params=STICKY):
 
         return jax.lax.scan(block, (state, open_ledger()), None, length=steps // 25)[1]
 
-    seen, pressure = jax.tree.map(np.asarray, jit(loop)(here.confine()[0]))
+    seen, pressure = jax.tree.map(np.asarray, jax.jit(loop)(here.confine()[0]))
     work = np.abs(np.diff(seen.platen_work)).sum()
     return np.abs(seen.unaccounted - seen.unaccounted[0]).max() / work, seen, pressure
 

@@ -22,9 +22,6 @@ from axijax.specimen.specimen import fcc_octagon
 from axijax.triaxial.random_specimen import platen_speed, random_cylinder
 from axijax.triaxial.test import TriaxialTest
 
-# Small programs that run briefly: not worth optimising.
-jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
-
 FCC = 3 * 2**0.5 / np.pi - 1  # void ratio of touching equal balls in face-centred cubic order
 
 
@@ -171,7 +168,7 @@ def random_test():
     )  # fmt: skip
 
 
-@partial(jit, static_argnums=0)
+@partial(jax.jit, static_argnums=0)
 def observed(scene, params, network, membrane, dt, state):
     load = membrane_load(membrane, network.positions + state.displacement, *state.platens)
     return observe(scene, params, network, membrane, load, dt, state)
@@ -217,7 +214,7 @@ def test_lists_made_anew_keep_the_volume_to_rounding(random_test):
     moved = jnp.asarray(np.random.default_rng(0).normal(size=test.cut.positions.shape) * 0.5)
     state = state._replace(displacement=from_rows(moved))
     network = replace(test.network, grid=grid_for(test.network))
-    network, membrane, after = jit(rebuild_in_jit)(network, test.membrane, state)
+    network, membrane, after = jax.jit(rebuild_in_jit)(network, test.membrane, state)
 
     def volume(network, membrane, state):
         return float(observed(test.scene, test.params, network, membrane, test.prepared.time_step, state).volume)

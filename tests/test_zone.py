@@ -1,7 +1,6 @@
 """Outer balls of a random specimen: what can be seen from outside, no more and no less, with cells that tile."""
 
 from dataclasses import replace
-from functools import partial
 
 import jax
 import numpy as np
@@ -47,7 +46,7 @@ def random_specimen(sector, seed=0, spread=0.5, rough=0.0):
     return Specimen(place, radius, 0.0, height, zone, zone_rule="exposure")
 
 
-@partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+@jax.jit
 def radius_areas_and_staleness(membrane, place, bottom, top):
     areas, stale = cell_areas(membrane, place, bottom, top), stale_cells(membrane, place, bottom, top)
     return membrane_radius(membrane, place), areas, stale

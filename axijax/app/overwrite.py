@@ -21,11 +21,6 @@ PICTURES, REPORT = "pictures", "report.html"  # where `axijax plot` and `axijax 
 SHOWN = 20  # names in a sentence
 
 
-def snapshots_folder(full: bool) -> str:
-    """Where a run's snapshots go: those of the whole cylinder to a folder of their own."""
-    return SNAPSHOTS[full]
-
-
 def refuse_to_lose(folder: Path, overwrite: bool) -> None:
     """Raise ValueError where a run that begins in a folder would replace something that it may not, saying what."""
     own, others = _contents(folder)

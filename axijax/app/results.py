@@ -305,6 +305,11 @@ def _along_strain(curve: "xarray.Dataset") -> "xarray.Dataset":
     return curve.set_coords(STRAIN).swap_dims(record=STRAIN)
 
 
+def snapshots_folder(full: bool) -> str:
+    """Where a run's snapshots go: those of the whole cylinder to a folder of their own."""
+    return SNAPSHOTS[full]
+
+
 def member_files(folder: Path) -> list[Path]:
     """Finished members of a batch; a name that begins with a dot is being written, or was when its process died."""
     return sorted((folder / MEMBERS).glob("[!.]*.nc"))

@@ -33,7 +33,7 @@ import numpy as np
 from axijax.app import results
 from axijax.app.case import GIVEN, Case, load_case
 from axijax.app.case_writing import to_toml
-from axijax.app.overwrite import CURVES, clear, refuse_to_lose, remove_stale, snapshots_folder
+from axijax.app.overwrite import CURVES, clear, refuse_to_lose, remove_stale
 from axijax.app.results import curves_dataset, save_dataset, save_run
 from axijax.app.specimen_file import NAME, load_specimen, save_specimen
 from axijax.core.files import locked, printable, writable_folder, write_whole, writing_to
@@ -247,7 +247,7 @@ def _run(
             from axijax.app.paraview import SnapshotWriter
 
             full = info.get("full", False)
-            write_snapshot = SnapshotWriter(folder / snapshots_folder(full), test, full)
+            write_snapshot = SnapshotWriter(folder / results.snapshots_folder(full), test, full)
         try:
             say(None)
             run = test.run(start=start, progress=advance, checkpoint=folder / "checkpoint.npz", stops=tuple(due))

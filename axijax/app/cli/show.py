@@ -95,9 +95,8 @@ def snapshot(
 
     In a folder that holds snapshots of the same run already, the last state is added, with axial strain as time.
     """
-    from axijax.app.overwrite import snapshots_folder
     from axijax.app.paraview import SnapshotWriter
-    from axijax.app.results import open_result
+    from axijax.app.results import open_result, snapshots_folder
     from axijax.core.files import writable_folder
 
     opened = open_result(result)
