@@ -12,15 +12,15 @@ import argparse
 import csv
 import itertools
 import json
+import pickle
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 from platen_friction import means
+from specimen_pool import Deadline, Late, work
 
 # Compaction frictions: void ratios of about 0.58 and 0.68, the larger of these further apart from seed to seed.
 DENSITIES = {"dense": 0.05, "medium": 0.3}
@@ -41,63 +41,86 @@ NUMBERS = {
 }
 
 
-def sheared(test, friction: float, rolling: float) -> dict[str, float]:
-    """What the study keeps of one test."""
-    from axijax.triaxial.laboratory import laboratory
+def test_of(options, specimen, friction: float, rolling: float):
+    """A test of a specimen, at the inertial number of the study."""
+    from axijax import Params, Sector, TriaxialTest, platen_speed
 
-    params = replace(test.params, friction=friction, rolling_friction=rolling)
-    curve = replace(test, params=params).run().curve
-    found = laboratory(curve)
-    return {
-        "peak": found.friction_angle.value, "dilatancy": found.dilatancy, "strain": 100 * found.peak.axial_strain,
-        "large": found.large_strain_angle.value, "void_ratio": float(curve.void_ratio[0]),
-        "volume": 100 * float(curve.volumetric_strain[-1]),
-    }  # fmt: skip
+    params = Params(
+        friction=friction, normal_stiffness=STIFFNESS, confining_stress=STRESS, rolling_friction=rolling, **HELD
+    )
+    params = replace(params, platen_speed=platen_speed(INERTIAL_NUMBER, specimen, params))
+    return TriaxialTest(
+        specimen, Sector(options.order), params=params, axial_strain=options.strain, tolerance=1e-3,
+        confine_steps=100_000,
+    )  # fmt: skip
 
 
-def work(options, specimen: tuple[str, int]) -> None:
-    """Pack one specimen and run what is missing of its tests."""
+def made(options, density: str, seed: int) -> str:
+    """Pack a specimen, and keep it with its friction in confinement."""
     import axijax
     from axijax.core.files import write_whole
 
-    axijax.fast_cpu_kernels()
-    axijax.use_compilation_cache()
-    density, seed = specimen
-    missing = [pair for pair in pairs() if not file_of(options, density, seed, *pair).exists()]
-    if not missing:
-        return
+    if options.deadline.near():
+        return "no time left"
     params = axijax.Params(
-        friction=FRICTIONS[0], rolling_friction=0.1, normal_stiffness=STIFFNESS, confining_stress=STRESS, **HELD
+        friction=FRICTIONS[0], normal_stiffness=STIFFNESS, confining_stress=STRESS, rolling_friction=0.1, **HELD
     )
-    sector = axijax.Sector(options.order)
     packed, report = axijax.random_cylinder(
-        options.size, sector, compaction_friction=DENSITIES[density], seed=seed, params=params
+        options.size, axijax.Sector(options.order), compaction_friction=DENSITIES[density], seed=seed, params=params
     )
-    test = axijax.TriaxialTest(
-        packed, sector, params=replace(params, platen_speed=axijax.platen_speed(INERTIAL_NUMBER, packed, params)),
-        axial_strain=options.strain, confining_friction=report.compaction_friction, tolerance=1e-3,
-        confine_steps=100_000,
-    )  # fmt: skip
-    for friction, rolling in missing:
-        started = time.perf_counter()
-        try:
-            found = sheared(test, friction, rolling)
-        except (ValueError, RuntimeError) as error:
-            found = {"failed": str(error)}
-        path = file_of(options, density, seed, friction, rolling)
-        write_whole(path, partial(write_text, json.dumps(found)))
-        print(f"{path.stem}: {time.perf_counter() - started:.0f} s {found.get('failed', '')}", flush=True)
+    path = specimen_file(options, density, seed)
+    write_whole(path, lambda part: part.write_bytes(pickle.dumps((packed, report.compaction_friction))))
+    return f"void ratio {report.counted_void_ratio:.3f}"
 
 
-def write_text(text: str, path: Path) -> None:
-    path.write_text(text)
+def sheared(options, density: str, seed: int, pair: tuple[float, float]) -> str:
+    """Shear a specimen with a friction and a rolling friction, and keep its numbers."""
+    from axijax.core.files import write_whole
+    from axijax.triaxial.laboratory import laboratory
+
+    started = time.process_time()
+    try:
+        options.deadline.look()
+        specimen, confining_friction = pickle.loads(specimen_file(options, density, seed).read_bytes())
+        test = replace(test_of(options, specimen, *pair), confining_friction=confining_friction)
+        curve = test.run(progress=options.deadline.look).curve
+        numbers = laboratory(curve)
+        found = {
+            "peak": numbers.friction_angle.value, "dilatancy": numbers.dilatancy,
+            "strain": 100 * numbers.peak.axial_strain, "large": numbers.large_strain_angle.value,
+            "void_ratio": float(curve.void_ratio[0]), "volume": 100 * float(curve.volumetric_strain[-1]),
+        }  # fmt: skip
+    except Late:
+        return "no time left"
+    except (ValueError, RuntimeError) as error:
+        found = {"failed": str(error)}
+    text = json.dumps(found)
+    write_whole(file_of(options, density, seed, pair), lambda part: part.write_text(text))
+    return f"{time.process_time() - started:.1f} s of CPU {found.get('failed', '')}"
+
+
+def run_missing(options) -> None:
+    """Make and shear what is missing, seed after seed."""
+    work(
+        options.workers,
+        [(density, seed) for seed in range(options.seeds) for density in DENSITIES],
+        partial(made, options),
+        lambda *specimen: specimen_file(options, *specimen).exists(),
+        lambda *specimen: [each for each in pairs() if not file_of(options, *specimen, each).exists()],
+        partial(sheared, options),
+    )
 
 
 def pairs():
     return itertools.product(FRICTIONS, ROLLING_FRICTIONS)
 
 
-def file_of(options, density: str, seed: int, friction: float, rolling: float) -> Path:
+def specimen_file(options, density: str, seed: int) -> Path:
+    return options.output / f"{density}_s{seed}.specimen"
+
+
+def file_of(options, density: str, seed: int, pair: tuple[float, float]) -> Path:
+    friction, rolling = pair
     return options.output / f"{density}_s{seed}_f{friction:g}_r{rolling:g}.json"
 
 
@@ -105,7 +128,7 @@ def table(options) -> list[dict]:
     """Mean and standard error over the seeds, of every density and pair."""
     rows = []
     for density, (friction, rolling) in itertools.product(DENSITIES, pairs()):
-        files = [file_of(options, density, seed, friction, rolling) for seed in range(options.seeds)]
+        files = [file_of(options, density, seed, (friction, rolling)) for seed in range(options.seeds)]
         found = [json.loads(file.read_text()) for file in files if file.exists()]
         sound = [each for each in found if "failed" not in each]
         if not sound:
@@ -156,6 +179,8 @@ def nearest(rows: list[dict]) -> None:
     """Tell the point of the map that is nearest to each sand, in units of 1 degree and 0.1."""
     for density, sands in SANDS.items():
         mine = [row for row in rows if row["density"] == density]
+        if not mine:
+            continue
         for name, (angle, dilatancy, strain) in sands.items():
             away = [max(abs(row["peak"] - angle), abs(row["dilatancy"] - dilatancy) / 0.1) for row in mine]
             row = mine[int(np.argmin(away))]
@@ -174,12 +199,12 @@ def main() -> None:
     asked.add_argument("--seeds", type=int, default=3)
     asked.add_argument("--strain", type=float, default=0.12)
     asked.add_argument("--workers", type=int, default=1, help="processes")
+    asked.add_argument("--limit", type=float, default=1e9, help="seconds after which it ends, with what there is")
     asked.add_argument("--picture", type=Path, help="write a picture of the map here")
     options = asked.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
-    specimens = [(density, seed) for seed in range(options.seeds) for density in DENSITIES]
-    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
-        list(pool.map(partial(work, options), specimens))
+    options.deadline = Deadline(options.limit)
+    run_missing(options)
     rows = table(options)
     with open(options.output / "table.csv", "w", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]))

@@ -17,16 +17,15 @@ ends by itself after so many seconds. table.csv holds means over the seeds with 
 import argparse
 import csv
 import json
-import multiprocessing
-import os
 import pickle
 import time
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 
 import numpy as np
+from specimen_pool import Deadline, Late, work
 
 FRICTION = 0.5  # between balls, in the shear
 DENSITIES = {"dense": 0.05, "loose": 0.4}  # friction in compaction and confinement
@@ -37,7 +36,6 @@ KEPT = (
     "axial_strain", "volumetric_strain", "stress_ratio", "core_ratio", "lateral_stress", "path_length", "servo_error",
     "coordination_number", "void_ratio", "unbalanced_force",
 )  # fmt: skip
-MARGIN = 5.0  # seconds before the limit, after which nothing is begun
 
 
 def stages_of(loading: str, options) -> tuple:
@@ -58,18 +56,6 @@ LOADINGS = ("cycles", "compression", "extension", "undrained", "k0")  # the long
 
 
 # ---- Running ----
-
-
-class Late(Exception):  # noqa: N818 (no error)
-    """The time is up."""
-
-
-def kernels() -> None:
-    """What a process does before its first computation."""
-    import axijax
-
-    axijax.fast_cpu_kernels()
-    axijax.use_compilation_cache()
 
 
 def specimen_file(options, density: str, seed: int) -> Path:
@@ -97,7 +83,7 @@ def made(options, density: str, seed: int) -> str:
     import axijax
     from axijax.core.files import write_whole
 
-    if time.time() > options.until - MARGIN:
+    if options.deadline.near():
         return "no time left"
     started = time.process_time()
     specimen, _ = axijax.random_cylinder(
@@ -114,17 +100,13 @@ def loaded(options, density: str, seed: int, loading: str) -> str:
     from axijax.core.files import write_whole
     from axijax.triaxial.checkpoint import load_progress
 
-    def look(_) -> None:
-        if time.time() > options.until:
-            raise Late
-
     started, ended = time.process_time(), ""
     path = specimen_file(options, density, seed)
     try:
-        look(None)
+        options.deadline.look()
         specimen = pickle.loads(path.read_bytes())
         test = test_of(options, specimen, density, stages_of(loading, options))
-        run = test.run(start=load_progress(path.with_suffix(".npz"), test), progress=look)
+        run = test.run(start=load_progress(path.with_suffix(".npz"), test), progress=options.deadline.look)
         curve, ended = run.curve, run.ended
     except Late:
         return "no time left"
@@ -139,47 +121,16 @@ def loaded(options, density: str, seed: int, loading: str) -> str:
     return f"{seconds:.1f} s of CPU, {len(rounded.get('axial_strain', ()))} records{ended and ', ' + ended}"
 
 
-def work(options) -> None:
-    """Run what is missing: a specimen's loadings as soon as it is there, seed after seed."""
-    # One thread a process; the processes are begun with these.
-    flags = os.environ.get("XLA_FLAGS", "")
-    os.environ["XLA_FLAGS"] = f"{flags} --xla_cpu_multi_thread_eigen=false".strip()
-    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    started, spawn = time.time(), multiprocessing.get_context("spawn")
-    options.until = started + options.limit
-    with ProcessPoolExecutor(options.processes, mp_context=spawn, initializer=kernels) as pool:
-        running: dict[Future, tuple] = {}
-
-        def load(density: str, seed: int) -> None:
-            for loading in LOADINGS:
-                if not file_of(options, density, seed, loading).exists():
-                    running[pool.submit(loaded, options, density, seed, loading)] = density, seed, loading
-
-        missing = []
-        for seed, density in product(range(options.seeds), DENSITIES):
-            if specimen_file(options, density, seed).exists():
-                load(density, seed)
-            else:
-                missing.append((density, seed))
-
-        def make_more() -> None:
-            """As many specimens at work as there are processes: what waits in the pool is not overtaken."""
-            while missing and len(running) < options.processes:
-                density, seed = missing.pop(0)
-                running[pool.submit(made, options, density, seed)] = density, seed
-
-        make_more()
-        while running:
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                case = running.pop(future)
-                try:
-                    told = future.result()
-                    if len(case) == 2 and specimen_file(options, *case).exists():
-                        load(*case)
-                except (ValueError, RuntimeError) as error:
-                    told = f"failed: {error}"
-                print(f"{time.time() - started:5.0f} s: {' '.join(map(str, case))}: {told}", flush=True)
-            make_more()
+def run_missing(options) -> None:
+    """Make and load what is missing, seed after seed."""
+    work(
+        options.processes,
+        [(density, seed) for seed in range(options.seeds) for density in DENSITIES],
+        partial(made, options),
+        lambda *specimen: specimen_file(options, *specimen).exists(),
+        lambda *specimen: [each for each in LOADINGS if not file_of(options, *specimen, each).exists()],
+        partial(loaded, options),
+    )
 
 
 # ---- What is read off ----
@@ -346,7 +297,8 @@ def main() -> None:
         options = argparse.Namespace(**vars(options) | quick)
     options.output.mkdir(parents=True, exist_ok=True)
     if not options.table:
-        work(options)
+        options.deadline = Deadline(options.limit)
+        run_missing(options)
     write_table(table(options), options.output / "table.csv")
     draw(options, options.output / "stress_paths.png")
 
