@@ -3,9 +3,10 @@
 A dense and a medium specimen are packed with each seed and sheared with every pair of friction and rolling friction.
 Every test writes one file, so the study may be stopped and started again; several processes share the packings:
 
-    python examples/sand_map.py --output sand_map --workers 2 --picture sand_map.png     # two hours of one core
+    python examples/sand_map.py --output sand_map --workers 2 --picture sand_map.png     # an hour of one core
 
-It writes table.csv into the output folder: means over the seeds with their standard errors.
+It writes table.csv into the output folder: means over the seeds with their standard errors. Then it
+shears with what the map gives for each sand, and tells whether strength and dilatancy are that sand's.
 """
 
 import argparse
@@ -22,8 +23,9 @@ import numpy as np
 from platen_friction import means
 from specimen_pool import Deadline, Late, work
 
-# Compaction frictions: void ratios of about 0.58 and 0.68, the larger of these further apart from seed to seed.
-DENSITIES = {"dense": 0.05, "medium": 0.3}
+# Compaction frictions: void ratios of about 0.59 and 0.69. Specimens are compacted without rolling resistance, which
+# would keep them looser (0.63 and 0.82).
+DENSITIES = {"dense": 0.03, "medium": 0.2}
 FRICTIONS = (0.1, 0.2, 0.3, 0.45, 0.6, 0.8)
 ROLLING_FRICTIONS = (0.0, 0.1, 0.2, 0.4, 0.8)
 INERTIAL_NUMBER = 1e-3
@@ -63,7 +65,7 @@ def made(options, density: str, seed: int) -> str:
     if options.deadline.near():
         return "no time left"
     params = axijax.Params(
-        friction=FRICTIONS[0], normal_stiffness=STIFFNESS, confining_stress=STRESS, rolling_friction=0.1, **HELD
+        friction=FRICTIONS[0], normal_stiffness=STIFFNESS, confining_stress=STRESS, rolling_friction=0.0, **HELD
     )
     packed, report = axijax.random_cylinder(
         options.size, axijax.Sector(options.order), compaction_friction=DENSITIES[density], seed=seed, params=params
@@ -99,20 +101,19 @@ def sheared(options, density: str, seed: int, pair: tuple[float, float]) -> str:
     return f"{time.process_time() - started:.1f} s of CPU {found.get('failed', '')}"
 
 
-def run_missing(options) -> None:
-    """Make and shear what is missing, seed after seed."""
+def run_missing(options, pairs) -> None:
+    """Make and shear what is missing of these pairs of each density, seed after seed."""
     work(
         options.workers,
-        [(density, seed) for seed in range(options.seeds) for density in DENSITIES],
+        [(density, seed) for seed in range(options.seeds) for density in pairs],
         partial(made, options),
         lambda *specimen: specimen_file(options, *specimen).exists(),
-        lambda *specimen: [each for each in pairs() if not file_of(options, *specimen, each).exists()],
+        lambda density, seed: [each for each in pairs[density] if not file_of(options, density, seed, each).exists()],
         partial(sheared, options),
     )
 
 
-def pairs():
-    return itertools.product(FRICTIONS, ROLLING_FRICTIONS)
+PAIRS = tuple(itertools.product(FRICTIONS, ROLLING_FRICTIONS))
 
 
 def specimen_file(options, density: str, seed: int) -> Path:
@@ -124,17 +125,18 @@ def file_of(options, density: str, seed: int, pair: tuple[float, float]) -> Path
     return options.output / f"{density}_s{seed}_f{friction:g}_r{rolling:g}.json"
 
 
+def row_of(options, density: str, pair: tuple[float, float]) -> dict | None:
+    """Mean and standard error over the seeds, of a density and pair; None where no test has ended well."""
+    files = [file_of(options, density, seed, pair) for seed in range(options.seeds)]
+    found = [json.loads(file.read_text()) for file in files if file.exists()]
+    sound = [each for each in found if "failed" not in each]
+    return {"density": density, "friction": pair[0], "rolling_friction": pair[1]} | means(sound) if sound else None
+
+
 def table(options) -> list[dict]:
-    """Mean and standard error over the seeds, of every density and pair."""
-    rows = []
-    for density, (friction, rolling) in itertools.product(DENSITIES, pairs()):
-        files = [file_of(options, density, seed, (friction, rolling)) for seed in range(options.seeds)]
-        found = [json.loads(file.read_text()) for file in files if file.exists()]
-        sound = [each for each in found if "failed" not in each]
-        if not sound:
-            continue
-        rows.append({"density": density, "friction": friction, "rolling_friction": rolling} | means(sound))
-    return rows
+    """The rows of the whole map."""
+    rows = [row_of(options, density, pair) for density, pair in itertools.product(DENSITIES, PAIRS)]
+    return [row for row in rows if row]
 
 
 def draw(rows: list[dict], path: Path) -> None:
@@ -175,20 +177,42 @@ def draw_reach(axes, mine: dict, sands: dict) -> None:
     axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
 
 
-def nearest(rows: list[dict]) -> None:
-    """Tell the point of the map that is nearest to each sand, in units of 1 degree and 0.1."""
-    for density, sands in SANDS.items():
-        mine = [row for row in rows if row["density"] == density]
-        if not mine:
+def away(peak, dilatancy, sand) -> np.ndarray:
+    """How far a strength and a dilatancy are from a sand's, in units of 1 degree and 0.1."""
+    return np.maximum(abs(peak - sand[0]), abs(dilatancy - sand[1]) / 0.1)
+
+
+def where(rows: list[dict], sand: tuple) -> tuple[float, float]:
+    """The friction and rolling friction at which the map, linear between its points, is nearest to a sand."""
+    from scipy.interpolate import RegularGridInterpolator
+
+    mine = {(row["friction"], row["rolling_friction"]): row for row in rows}
+    values = np.array([[[mine[f, r][name] for name in ("peak", "dilatancy")] for r in ROLLING_FRICTIONS]
+                       for f in FRICTIONS])  # fmt: skip
+    fine = np.array(list(itertools.product(np.arange(0.1, 0.801, 0.01), np.arange(0, 0.801, 0.01)))).round(2)
+    peak, dilatancy = RegularGridInterpolator((FRICTIONS, ROLLING_FRICTIONS), values)(fine).T
+    return tuple(fine[np.argmin(away(peak, dilatancy, sand))].tolist())
+
+
+def sands(options, rows: list[dict]) -> None:
+    """Shear the specimens with what the map gives for each sand, and tell what comes of it."""
+    chosen = {}
+    for density, mine in SANDS.items():
+        ours = [row for row in rows if row["density"] == density]
+        if len(ours) == len(PAIRS):
+            chosen |= {(density, name): where(ours, sand) for name, sand in mine.items()}
+    run_missing(options, {density: [pair for key, pair in chosen.items() if key[0] == density] for density in SANDS})
+    for (density, name), pair in chosen.items():
+        angle, dilatancy, strain = sand = SANDS[density][name]
+        row = row_of(options, density, pair)
+        if row is None:
             continue
-        for name, (angle, dilatancy, strain) in sands.items():
-            away = [max(abs(row["peak"] - angle), abs(row["dilatancy"] - dilatancy) / 0.1) for row in mine]
-            row = mine[int(np.argmin(away))]
-            print(
-                f"{name} ({angle} degrees, {dilatancy}, at {strain} %): nearest f {row['friction']:g}, eta_r "
-                f"{row['rolling_friction']:g}: {row['peak']:.1f} +- {row['peak +-']:.1f} degrees, "
-                f"{row['dilatancy']:.2f} +- {row['dilatancy +-']:.2f}, at {row['strain']:.1f} %"
-            )
+        print(
+            f"{name} ({angle} degrees, {dilatancy}, at {strain} %): f {pair[0]:g}, eta_r {pair[1]:g} give "
+            f"{row['peak']:.1f} +- {row['peak +-']:.1f} degrees, {row['dilatancy']:.2f} +- {row['dilatancy +-']:.2f}, "
+            f"at {row['strain']:.1f} %, {'within' if away(row['peak'], row['dilatancy'], sand) <= 1 else 'not within'} "
+            "1 degree and 0.1"
+        )
 
 
 def main() -> None:
@@ -204,13 +228,13 @@ def main() -> None:
     options = asked.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
     options.deadline = Deadline(options.limit)
-    run_missing(options)
+    run_missing(options, {density: PAIRS for density in DENSITIES})
     rows = table(options)
     with open(options.output / "table.csv", "w", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
-    nearest(rows)
+    sands(options, rows)
     if options.picture:
         draw(rows, options.picture)
 
