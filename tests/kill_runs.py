@@ -44,18 +44,22 @@ tolerance = 1e-4
 record_every = 50
 """
 SWEEP = TINY + "[sweep]\nparameters.friction = [0.1, 0.15, 0.2, 0.25]\n"
-STAGED = TINY.replace("axial_strain = 0.012\n", "") + """
-[[stage]]
-type = "compression"
-axial_strain = 0.004
-[[stage]]
-type = "extension"
-axial_strain = 0.002
-[[stage]]
-type = "compression"
-lateral = "constant_volume"
-axial_strain = 0.006
-"""
+# Every kind of platens and of membrane once.
+STAGES = (
+    'type = "isotropic"\nlateral_stress = 55000.0',
+    'type = "anisotropic"\nlateral_stress = 55000.0\nk = 0.9',
+    'type = "compression"\naxial_strain = 0.001',
+    'type = "compression"\nlateral = "constant_p"\naxial_strain = 0.0015',
+    'type = "cycles"\nfirst = 0.001\nsecond = 0.0015\ncycles = 2',
+    'type = "extension"\nlateral = "k0"\naxial_strain = 0.0012',
+    'type = "compression"\nlateral = "line"\ndq_dp = 2.0\naxial_strain = 0.0016',
+    'type = "axial_stress"\naxial_stress = 60000.0\naxial_strain = 0.0',
+    'type = "lateral_stress"\nlateral_stress = 52000.0',
+    'type = "compression"\nlateral = "fluid"\nfluid_modulus = 1e7\nporosity = 0.4\naxial_strain = 0.002',
+    'type = "hold"\ntime = 1.0',
+    'type = "compression"\nlateral = "constant_volume"\naxial_strain = 0.004',
+)
+STAGED = TINY.replace("axial_strain = 0.012\n", "") + "".join(f"[[stage]]\n{each}\n" for each in STAGES)
 SAND = """
 [specimen]
 kind = "random"

@@ -193,7 +193,8 @@ def _warning(result: Result, name: str) -> str:
 def _summary(result: Result) -> dict[str, str]:
     """What a reader looks for first, by name."""
     found, case = laboratory(result.curve), case_of(result)
-    summary = found.rows(case.test.axial_strain if case is not None and result.status == "finished" else None)
+    asked = case.test.axial_strain if case is not None and not case.stage and result.status == "finished" else None
+    summary = found.rows(asked)
     if case is not None and thornton_ratio(case) is not None:
         summary["Thornton (1979), rigid balls that do not rotate [-]"] = f"{thornton_ratio(case):.4g}"
     where = "at the peak" if found.peak.reached else "there"

@@ -127,7 +127,7 @@ class _Live:
         self.folder = folder
         self.started = time.perf_counter()
         self.pace = Pace()
-        self.asked: float | None = None  # axial strain
+        self.asked: float | None = None  # axial strain; stages end elsewhere
 
     def __enter__(self) -> "_Live":
         return self
@@ -137,7 +137,7 @@ class _Live:
 
     def tell(self, test: "TriaxialTest", now: "Progress | None") -> None:
         """Take note of where a run stands, and show it."""
-        self.asked = test.axial_strain
+        self.asked = None if test.stages else test.axial_strain
         if now is None:
             return self.show("preparing", f"{len(test.cut)} balls, {test.prepared.numerics.most_steps} steps")
         self.pace.mark(now.share(test), now.taken)
