@@ -139,9 +139,10 @@ def main() -> None:
         from boundary_tables import print_tables, write_csv
 
         samples = statistics_of(options.output)
-        write_csv(samples, options.output / "boundary_sensitivity.csv")
+        table = options.output / "boundary_sensitivity.csv"
+        write_csv(samples, table)
         print_tables(samples)
-        draw(samples, options.output)
+        draw(samples, table)
         return
     if options.workers == 1:
         work(options)
