@@ -146,8 +146,7 @@ def corners(*places, between=400):
     return np.concatenate([*parts, [places[-1]]])
 
 
-@BOTH_LAWS
-@BOTH_KINDS
+@pytest.mark.parametrize(("kind", "make"), [("rolling", hertz_params), ("torsion", unit_params)])
 def test_loop_of_moment_and_rotation(kind, make):
     """Area 4 M_y (A - M_y/kr) of a settled cycle past yield, none inside it."""
     depth, alpha, eta = 1e-3, 0.5, 0.3
@@ -264,7 +263,7 @@ def test_moments_of_a_pair_are_opposite_and_its_angular_momentum_stays(make):
     np.testing.assert_allclose(after, before, atol=1e-12)
 
 
-@pytest.mark.parametrize("order", [2, 3, 4, 6, 12])
+@pytest.mark.parametrize("order", [2, 3, 12])
 def test_a_pair_across_a_sector_plane_moves_as_in_the_full_cylinder(order):
     """With the second ball as an image: motion and the springs of both parts."""
     params = both((0.5, 0.3), (0.8, 0.2), damping=Dashpot(0.05))

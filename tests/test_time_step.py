@@ -96,7 +96,7 @@ def test_other_cubic_lattices(lattice, known):
 
 
 @pytest.mark.parametrize("damping_ratio", [0.0, 0.05, 0.3])
-@pytest.mark.parametrize("stiffness_ratio", [1.0, 0.8, 0.5, 2 / 7, 0.25, 0.2, 0.15, 0.1])
+@pytest.mark.parametrize("stiffness_ratio", [1.0, 0.5, 2 / 7, 0.2, 0.1])
 def test_stiffness_ratio_and_dashpots(stiffness_ratio, damping_ratio):
     """Against the lattice's two modes. Around ks/kn = 0.2 dashpots make the spin mode the worst although it is not
     the fastest: there 2/omega (sqrt(1 + xi^2) - xi) of the fastest mode alone is up to 46 % too long."""
@@ -143,7 +143,7 @@ def squeezed(sector, scene, layers=5):
 @lru_cache
 def linearised_step(sector, scene):
     """Function (params, dt) -> the matrix that one step multiplies a small disturbance of a squeezed specimen with."""
-    network, state = squeezed(sector, scene)
+    network, state = squeezed(sector, scene, 3 if sector is FULL else 5)
     balls = jnp.zeros(network.radius.shape)
     step = make_step(scene, still)
     flat, shape = ravel_pytree((state.displacement, state.velocity, state.spin, state.spring))
@@ -224,15 +224,18 @@ def test_a_safe_step_of_the_tests_parameters_is_not_one_of_others():
         test.run(replace(test.params, normal_stiffness=10 * STIFFNESS, shear_stiffness=10 * STIFFNESS))
 
 
+SMALL, OF_THE_PAPER = (15, 7), (25, 9)  # layers and half width of an octagon
+
+
 @lru_cache
-def peak(damping, step, friction, boundary="periodic", axial_strain=0.006):
-    """Peak stress ratio of the paper's quarter at a step in sqrt(m/K), and the error that was raised, if any.
+def peak(damping, step, friction, boundary="periodic", axial_strain=0.006, size=SMALL):
+    """Peak stress ratio of a quarter at a step in sqrt(m/K), and the error that was raised, if any.
 
     Any warning, such as that of chatter before the peak, is an error here. Past the peak the platens go three times as
     fast: what can chatter then moves more.
     """
     test = TriaxialTest(
-        fcc_octagon(),
+        fcc_octagon(layers=size[0], half_width=size[1]),
         Sector(4, boundary),
         params=Params(friction=friction, damping=damping, platen_speed=0.01 if axial_strain < 0.01 else 0.03),
         axial_strain=axial_strain,
@@ -254,7 +257,7 @@ def peak(damping, step, friction, boundary="periodic", axial_strain=0.006):
         (LocalDamping(), 0.30, 0.3),
         (LocalDamping(), 0.32, 0.12278),
         (Dashpot(0.3), 0.15, 0.3),
-        (Dashpot(0.3), 0.15, 0.05),
+        (Dashpot(0.3), 0.18, 0.05),
     ],
 )
 def test_the_guard_catches_the_silent_wrong_peaks(damping, step, friction):
@@ -285,7 +288,8 @@ def test_the_guard_catches_the_silent_wrong_peaks(damping, step, friction):
     ],
 )
 def test_the_guard_raises_no_false_alarm(damping, step, friction, boundary, axial_strain):
-    assert peak(damping, step, friction, boundary, axial_strain)[1] is None
+    size = OF_THE_PAPER if boundary == "rigid" else SMALL
+    assert peak(damping, step, friction, boundary, axial_strain, size)[1] is None
 
 
 @pytest.mark.slow

@@ -11,9 +11,10 @@ from axijax.mechanics.lattice_load import lattice_load
 FRICTIONS = (0.0, 0.05, 0.12278, 0.3)
 
 
-def lattice_test(rotation: bool) -> TriaxialTest:
-    """The paper's quarter with springs ten times stiffer, loaded like the infinite lattice, sheared slowly."""
-    specimen, sector = fcc_octagon(), Sector(4)
+def lattice_test(rotation: bool, **size) -> TriaxialTest:
+    """A quarter with springs ten times stiffer, loaded like the infinite lattice, sheared slowly; the paper's but for
+    another size."""
+    specimen, sector = fcc_octagon(**size), Sector(4)
     return TriaxialTest(
         specimen,
         sector,
@@ -36,7 +37,8 @@ def formula(friction):
 
 @pytest.fixture(scope="module")
 def blocked() -> TriaxialTest:
-    return lattice_test(rotation=False)
+    """A small one: loaded like the infinite lattice, its size is nothing to it."""
+    return lattice_test(rotation=False, layers=11, half_width=5)
 
 
 @pytest.mark.parametrize("friction", FRICTIONS)
