@@ -149,7 +149,7 @@ def test_what_a_seed_does_not_reach_is_its_end_or_refused():
 
 def test_a_specimen_by_relative_density_begins_with_its_void_ratio(tmp_path, monkeypatch):
     monkeypatch.setenv("AXIJAX_CACHE", str(tmp_path))
-    _, report = random_cylinder(40, Sector(2), relative_density=0.5, void_ratio_tolerance=0.04, tolerance=1e-2, seed=0)
+    _, report = random_cylinder(60, Sector(1), relative_density=0.5, void_ratio_tolerance=0.04, tolerance=1e-2, seed=0)
     densest, loosest = report.bounds
     assert 0.4 < densest < report.counted_void_ratio < loosest < 1.0
     assert abs(report.relative_density - 0.5) * (loosest - densest) <= 0.04
