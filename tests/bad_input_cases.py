@@ -124,7 +124,10 @@ CASES = {
     "layers of a random specimen": (packed("layers = 5"), ["layers", "'random'", "void_ratio"]),
     "specimen.compaction_friction = 2": (packed("compaction_friction = 2"), ["compaction_friction = 2", "equal to 1"]),
     "specimen.void_ratio = 0": (packed("void_ratio = 0"), ["void_ratio = 0", "greater than 0"]),
-    "void ratio of foam": (packed("balls = 40\nvoid_ratio = 9"), ["void_ratio = 9", "ask for one between"]),
+    "void ratio of foam": (
+        packed("balls = 40\nvoid_ratio = 9"),
+        ["void_ratio = 9", "reach 0.5000", "ask for one between"],
+    ),
     "sieve curve that is not there": (packed("grading = 'sieves.csv'"), ["sieves.csv", "cannot be read"]),
     "sieve curve that stops at 90 %": (
         lambda folder, _: (

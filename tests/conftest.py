@@ -19,7 +19,7 @@ axijax.fast_cpu_kernels()
 # Modules that take half a minute and more begin first, the longest at the head, or else one worker is left with them
 # while the others have nothing to do.
 LONGEST = (
-    "test_readme", "test_guide", "test_calibrate_gradients", "test_limits", "test_time_step", "test_symmetry",
+    "test_readme", "test_guide", "test_calibrate_gradients", "test_limits", "test_time_step", "test_reverse_mode",
     "test_calibrate_random", "test_volume", "test_stages", "test_energy", "test_table1", "test_gradients",
     "test_thornton", "test_nothing_lost", "test_executors", "test_batch", "test_tight_list",
     "test_calibrate_functionals", "test_calibrate_study", "test_update",
@@ -50,7 +50,7 @@ def width_of_a_pipe():
 
 # Modules whose programs run long, that validate the kernels as users have them, or hold two programs to the same bits.
 THOROUGH = (
-    "test_platform", "test_table1", "test_symmetry", "test_gradients", "test_terms", "test_membrane_surface",
+    "test_platform", "test_table1", "test_gradients", "test_terms", "test_membrane_surface",
 )  # fmt: skip
 
 

@@ -103,8 +103,16 @@ def closing(params, network, dt, state, push, section):
     return jnp.array([1.0, -1.0]) * params.platen_speed
 
 
-@pytest.mark.parametrize("damping", [Dashpot(0.1), LocalDamping(0.5), BackgroundDamping(0.05), None])
-@pytest.mark.parametrize("friction", [0.3, None])
+@pytest.mark.parametrize(
+    "friction, damping",
+    [
+        (0.3, Dashpot(0.1)),
+        (0.3, LocalDamping(0.5)),
+        (0.3, BackgroundDamping(0.05)),
+        (None, BackgroundDamping(0.05)),
+        (None, None),
+    ],
+)
 def test_closes_to_rounding_while_contacts_neither_open_nor_turn(damping, friction):
     """Two balls one on the other, squeezed by the platens at a step of a third of the critical one: no term is an
     estimate. The spins about z leave springs and cap out of it but count as kinetic energy that drag takes."""
@@ -165,9 +173,7 @@ def stack_on_a_pair(sector):
     "made, damping, orders",
     [
         (stack_on_a_pair, DASHPOT, (1, 2)),
-        pytest.param(stack_on_a_pair, LOCAL, (1, 2), marks=pytest.mark.slow),
-        pytest.param(pressed_octagon, DASHPOT, (1, 4), marks=pytest.mark.slow),
-        pytest.param(pressed_octagon, LOCAL, (1, 2, 4), marks=pytest.mark.slow),
+        pytest.param(pressed_octagon, LOCAL, (1, 4), marks=pytest.mark.slow),
     ],
 )
 def test_a_sectors_terms_are_its_share_of_the_full_cylinders(made, damping, orders):
@@ -191,8 +197,7 @@ def test_a_sectors_terms_are_its_share_of_the_full_cylinders(made, damping, orde
         np.testing.assert_allclose(change_n, change, rtol=1e-9)
 
 
-@pytest.mark.parametrize("boundary", ["periodic", "rigid"])
-@pytest.mark.parametrize("damping", [DASHPOT, None])
+@pytest.mark.parametrize("boundary, damping", [("periodic", DASHPOT), ("rigid", None)])
 def test_balance_error_of_violent_motion_falls_with_the_step(boundary, damping):
     """Balls that collide, slide, spin and part: near second order, for the planes of contacts turn little in a step.
     The worst of many moments, as the error changes its sign."""
@@ -271,11 +276,15 @@ def sheared(test: TriaxialTest, fraction: float):
     return jax.tree.map(np.asarray, balances_of_shear(prepared, params, dt, block_steps, start))
 
 
+SMALL = fcc_octagon(layers=9, half_width=5)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("friction, fractions", [(0.12278, (1.0, 0.5)), (0.3, (1.0, 0.5, 0.25))])
 def test_whole_test_closes_to_a_millionth_of_the_platen_work(friction, fractions):
-    """The paper's quarter to 1 % strain at the default step; halved steps halve the error."""
-    test = TriaxialTest(fcc_octagon(), axial_strain=0.01, params=Params(friction=friction))
+    """A small quarter of the paper's kind to 1 % strain, past its peak, at the default step; halved steps halve the
+    error."""
+    test = TriaxialTest(SMALL, axial_strain=0.01, params=Params(friction=friction))
     errors = []
     for fraction in fractions:
         seen = sheared(test, fraction)
@@ -290,7 +299,7 @@ def test_whole_test_closes_to_a_millionth_of_the_platen_work(friction, fractions
 @pytest.mark.slow
 def test_whole_test_with_local_damping_closes():
     """Local damping takes the more the faster the motion; its share too is accounted for."""
-    test = TriaxialTest(fcc_octagon(), axial_strain=0.005, params=Params(friction=0.3, damping=LocalDamping(0.7)))
+    test = TriaxialTest(SMALL, axial_strain=0.005, params=Params(friction=0.3, damping=LocalDamping(0.7)))
     seen = sheared(test, 1.0)
     error = np.abs(seen.unaccounted - seen.unaccounted[0])
     assert (error[1:] < 1e-6 * seen.platen_work[1:]).all()

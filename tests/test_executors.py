@@ -5,9 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +15,16 @@ from cli_in_process import axijax as command
 from axijax import Params, Sector, TriaxialTest, fcc_octagon
 from axijax.app.executors import open_executor
 from axijax.batch import Member, open_batch, parameter_grid, run_batch
+from axijax.triaxial.records import records_of
+from axijax.triaxial.stage_types import stage
 
+# In a stage, which must reach the other process as a test does.
 TEST = TriaxialTest(
-    fcc_octagon(layers=3, half_width=3), Sector(4), params=Params(platen_speed=0.05), axial_strain=0.005, tolerance=1e-4
+    fcc_octagon(layers=3, half_width=3),
+    Sector(4),
+    params=Params(platen_speed=0.05),
+    stages=(stage("compression", lateral="constant_volume", axial_strain=2e-3),),
+    tolerance=1e-3,
 )
 FRICTIONS = [0.1, 0.2, 0.3]
 
@@ -32,14 +37,15 @@ def here():
 def same(stored, curves):
     assert list(stored.member.values) == list(curves)
     for name, curve in curves.items():
-        found = stored.stress_ratio.sel(member=name).values[: curve.stress_ratio.size]
-        np.testing.assert_array_equal(found, curve.stress_ratio)
+        for field in records_of(curve):
+            found = stored[field].sel(member=name).values[: curve.stress_ratio.size]
+            np.testing.assert_array_equal(found, getattr(curve, field), err_msg=field)
 
 
 def test_a_pool_of_processes(here, tmp_path):
     """One member fails, which is said as ever; a process that is killed breaks the pool, and the folder goes on."""
     late = Member("bad", TEST, replace(TEST.params, friction=-1.0))
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+    with open_executor("processes:1") as pool:
         members = parameter_grid(TEST, friction=FRICTIONS[:1])
         result = run_batch([*members, late], tmp_path, executor=pool)
         assert list(result.failures) == ["bad"] and "friction = -1" in result.failures["bad"]

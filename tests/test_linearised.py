@@ -49,7 +49,6 @@ SCENES = {
     "quarter": (lattice(QUARTER), PLAIN, Params()),
     "strong dashpots, soft shear": (lattice(QUARTER), PLAIN, Params(damping_ratio=0.3, shear_stiffness=0.3e9)),
     "stiff shear": (lattice(QUARTER), PLAIN, Params(damping_ratio=0.0, shear_stiffness=3 * STIFFNESS)),
-    "half": (lattice(HALF), PLAIN, Params(shear_stiffness=0.5 * STIFFNESS)),
     "full": (lattice(FULL), PLAIN, Params(shear_stiffness=0.5 * STIFFNESS)),
     "rigid planes": (lattice(RIGID), PLAIN, Params(shear_stiffness=0.5 * STIFFNESS)),
     "random": (heap(), PLAIN, Params(shear_stiffness=0.5 * STIFFNESS)),
@@ -60,7 +59,6 @@ SCENES = {
     "rough platens, no friction between balls": (lattice(HALF), PLAIN, Params(platen_friction=0.3, friction=None)),
     "rolling": (lattice(QUARTER), PLAIN, Params(rolling=Rolling(0.7, 0.1), shear_stiffness=0.5 * STIFFNESS)),
     "rolling and torsion, random": (heap(), PLAIN, Params(rolling=Rolling(0.7, 0.1), torsion=Torsion(2.0, 0.0))),
-    "Hertz": (lattice(QUARTER), PLAIN, Params(Hertz(), **SLIGHT)),
     "Hertz, torsion": (lattice(HALF), PLAIN, Params(Hertz(torsion=Torsion(2.0, 0.1)), **SLIGHT)),
     "Hertz, random, rough platens": (heap(), PLAIN, Params(Hertz(platen_friction=np.inf), **SLIGHT)),
 }

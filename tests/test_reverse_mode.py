@@ -33,7 +33,6 @@ def uneven() -> Specimen:
 LINEAR = Params(friction=0.3, damping_ratio=0.2, platen_speed=0.03)
 HERTZ = Params(Hertz(friction=0.3), confining_stress=1e5, damping_ratio=0.2, platen_speed=0.06)
 CASES = {
-    "quarter": (SMALL, Sector(4), LINEAR, {}),
     "full, Hertz": (SMALL, Sector(1), HERTZ, {}),
     # Rolling resistance backwards: tests/test_rolling_whole.py.
     "uneven, tight lists that are rebuilt": (uneven(), Sector(4), LINEAR, {"rebuild_every": 4}),

@@ -37,8 +37,7 @@ def bearing_on_plane(params, side, speed):
     return network, state, constant_load(-PUSH * normal[:2, None]), way, np.cross(normal, way)
 
 
-@pytest.mark.parametrize("make", [unit_params, hertz_params], ids=["linear", "hertz"])
-@pytest.mark.parametrize("side", [0, 1])
+@pytest.mark.parametrize("side, make", [(0, unit_params), (1, hertz_params)], ids=["0-linear", "1-hertz"])
 def test_sliding_ball_begins_to_roll_on_a_rigid_sector_plane(make, side):
     """As on a platen: slowed at f N/m, spun up at 5 f N/(2 m r) until it rolls at 5/7 v0, after 2 v0 m/(7 f N)."""
     f, v0, dt = 0.25, 0.01, 0.05

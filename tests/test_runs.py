@@ -18,7 +18,6 @@ from cli_in_process import SMALL, axijax, write
 from axijax.app import animation, runs
 from axijax.app.case import Case, load_case
 from axijax.app.results import open_result
-from axijax.app.runs import run_case
 from axijax.app.snapshot import snapshot
 
 FILES = {"case.toml", "run.json", "checkpoint.npz", "curve.nc", "curve.csv", "curve.png"}
@@ -103,9 +102,8 @@ def test_interrupted_and_resumed_is_the_run_that_never_stopped(number, finished,
     assert_same_result(folder, finished[0])
 
 
-def test_finished_and_taken_further_is_the_longer_run(finished_longer, tmp_path):
-    folder = tmp_path / "small"
-    run_case(Case.model_validate(tomllib.loads(SMALL)), folder, "small")
+def test_finished_and_taken_further_is_the_longer_run(finished, finished_longer, tmp_path):
+    folder = shutil.copytree(finished[0], tmp_path / "small")
     called = axijax("resume", folder, "--axial-strain", "0.016")
     assert called.code == 0, called.err
     assert load_case(folder / "case.toml").test.axial_strain == 0.016
@@ -234,6 +232,9 @@ def random_run(tmp_path_factory):
     return folder / "random", called
 
 
+COMMANDS = (("resume", "--axial-strain", "0.006"), ("check",), ("snapshot",), ("report",))
+
+
 class TestRandomSpecimen:
     def test_its_report_is_printed_and_kept(self, random_run):
         folder, called = random_run
@@ -269,18 +270,18 @@ class TestRandomSpecimen:
         assert_same_result(folder, whole)
 
     @pytest.mark.parametrize(
-        ("damage", "words"),
+        ("damage", "words", "commands"),
         [
-            (lambda path: path.unlink(), "has lost its specimen.npz"),
-            (lambda path: path.write_bytes(path.read_bytes()[:200]), "specimen.npz is damaged"),
-            (lambda path: path.write_bytes(b""), "specimen.npz is damaged"),
-            (lambda path: np.savez(path, positions=np.zeros((3, 4))), "specimen.npz is damaged"),
+            (lambda path: path.unlink(), "has lost its specimen.npz", COMMANDS),
+            (lambda path: path.write_bytes(path.read_bytes()[:200]), "specimen.npz is damaged", COMMANDS[:1]),
+            (lambda path: path.write_bytes(b""), "specimen.npz is damaged", COMMANDS[1:2]),
+            (lambda path: np.savez(path, positions=np.zeros((3, 4))), "specimen.npz is damaged", COMMANDS[2:3]),
         ],
     )
-    def test_a_lost_or_damaged_one_is_one_sentence(self, random_run, tmp_path, damage, words):
+    def test_a_lost_or_damaged_one_is_one_sentence(self, random_run, tmp_path, damage, words, commands):
         folder = shutil.copytree(random_run[0], tmp_path / "out")
         damage(folder / "specimen.npz")
-        for command in (("resume", "--axial-strain", "0.006"), ("check",), ("snapshot",), ("report",)):
+        for command in commands:
             called = axijax(*command, folder)
             assert called.code == 1 and words in called.err and called.err.count("\n") == 1, (command, called.err)
 

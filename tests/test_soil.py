@@ -246,8 +246,8 @@ def test_pictures_are_readable(several, result, tmp_path):
         assert box.x0 >= 0 and box.x1 <= figure.bbox.width, kind
         named = {to_hex(line.get_color()).upper() for line in figure.axes[0].lines if "friction" in line.get_label()}
         assert named <= set(COLOURS)
-    paths = plot.plot_result(several, list(KINDS), tmp_path)
-    assert [path.stem for path in paths] == list(KINDS)
+    two = list(KINDS)[:2]  # the others are drawn above; here they are written
+    assert [path.stem for path in plot.plot_result(several, two, tmp_path)] == two
     with pytest.raises(ValueError, match="no void ratio to draw"):
         plot.plot_result([result], ["e-log-p"], tmp_path / "lattice")
 

@@ -1,4 +1,4 @@
-"""Tests in stages: many at once, in float32, and by reverse mode."""
+"""Tests in stages: many at once, in float32, and by reverse mode; in other processes: test_executors.py."""
 
 import csv
 from dataclasses import replace
@@ -10,7 +10,6 @@ import pytest
 from cli_in_process import axijax as command
 
 from axijax import Params, Sector, TriaxialTest, fcc_octagon
-from axijax.app.executors import open_executor
 from axijax.batch import Member, open_batch, parameter_grid, run_batch
 from axijax.triaxial.records import records_of
 from axijax.triaxial.stage_types import stage
@@ -65,15 +64,6 @@ def test_all_at_once_are_the_same_records(batch):
             np.testing.assert_allclose(
                 getattr(curve, field), getattr(alone, field), rtol=1e-7, atol=1e-7, err_msg=f"{name} {field}"
             )
-
-
-@pytest.mark.slow
-def test_in_another_process_to_the_last_bit(batch):
-    with open_executor("processes:1") as pool:
-        away = run_batch(parameter_grid(TEST, friction=FRICTIONS[:1]), executor=pool)
-    ((name, curve),) = away.curves.items()
-    for field in records_of(curve):
-        np.testing.assert_array_equal(getattr(curve, field), getattr(batch[1].curves[name], field), err_msg=field)
 
 
 def test_from_a_sweep_file(tmp_path):

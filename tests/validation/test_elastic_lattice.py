@@ -56,11 +56,11 @@ def test_the_core_has_the_closed_forms(octagon, ratio):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ratio", [1.0, 0.25])
-def test_large_specimens_come_to_the_closed_forms(ratio):
+def test_large_specimens_come_to_the_closed_forms():
     """Cylinders of growing size, by a straight line in one over the radius: moduli to 3 %, which is how far the line
-    moves with the sizes that it goes through."""
-    known, sizes = closed_form(ratio), [13, 16, 17, 20, 24]
+    moves with the sizes that it goes through. Soft in shear, where they are farthest from it."""
+    ratio, sizes = 0.25, [13, 16, 17, 20, 24]
+    known = closed_form(ratio)
     found = []
     for size in sizes:
         specimen = fcc_cylinder(layers=2 * round(size / 2**0.5) + 1, specimen_radius=size * RADIUS)

@@ -6,7 +6,7 @@ from functools import lru_cache, partial
 import numpy as np
 import pytest
 
-from axijax import Params, Sector, TriaxialTest, contact_stiffness, fcc_octagon, flat_top, raise_for_status
+from axijax import Sector, TriaxialTest, contact_stiffness, fcc_octagon, flat_top, raise_for_status
 from axijax.app.table1 import PAPER_RUNS, PAPER_STIFFNESS
 
 # friction: peak in the paper, peak found by an independent program with the same membrane
@@ -18,15 +18,15 @@ def theory(friction):
     return 2 * (1 + friction) / (1 - friction)
 
 
-def run(test, friction):
-    curve = test.simulate(replace(test.params, friction=friction))
+def run(test, friction, **changes):
+    curve = test.simulate(replace(test.params, friction=friction, **changes))
     raise_for_status(curve.status)
     return curve
 
 
 @pytest.fixture(scope="module")
 def quarter():
-    return TriaxialTest(fcc_octagon(), Sector(4), axial_strain=0.006)
+    return TriaxialTest(fcc_octagon(), Sector(4), axial_strain=0.008)
 
 
 @pytest.fixture(scope="module")
@@ -65,14 +65,12 @@ def test_periodic_rows(sheared, friction):
     assert 0.0030 <= float(curve.axial_strain[place]) <= 0.0075
 
 
-def test_with_the_stiffness_of_two_balls_in_series_the_strains_are_the_papers():
+def test_with_the_stiffness_of_two_balls_in_series_the_strains_are_the_papers(quarter):
     """The default of `axijax table1`: its strains lie in the flat tops, where the contact's stiffness, that of the rows
     above, reaches them by half to two thirds."""
     own = contact_stiffness(PAPER_STIFFNESS)
-    params = Params(normal_stiffness=own, shear_stiffness=own)
-    test = TriaxialTest(fcc_octagon(), Sector(4), params=params, axial_strain=0.008)
     for paper in PAPER_RUNS[1:4:2]:
-        curve = run(test, paper.friction)
+        curve = run(quarter, paper.friction, normal_stiffness=own, shear_stiffness=own)
         start, end = flat_top(curve.axial_strain, curve.stress_ratio)
         assert start < paper.paper_strain < end
         assert float(curve.stress_ratio.max()) == pytest.approx(paper.paper, rel=0.025)
