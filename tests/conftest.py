@@ -50,7 +50,7 @@ def width_of_a_pipe():
 
 # Modules whose programs run long, that validate the kernels as users have them, or hold two programs to the same bits.
 THOROUGH = (
-    "test_platform", "test_table1", "test_symmetry", "test_thornton", "test_gradients", "test_time_step", "test_terms",
+    "test_platform", "test_table1", "test_symmetry", "test_thornton", "test_time_step", "test_terms",
     "test_membrane_surface",
 )  # fmt: skip
 
