@@ -59,13 +59,12 @@ def test_loading_rate():
     excess = np.array([peak(friction=FRICTION, platen_speed=speed) / paper - 1 for speed in speeds])
     numbers = inertial_number(sheared(friction=FRICTION)[0]) * speeds / 0.01
     assert numbers[0] == pytest.approx(4.45e-4, rel=1e-2) and numbers[-1] == pytest.approx(2.2e-3, rel=2e-2)
-    print(numbers, excess)
     assert np.all(np.diff(excess) > 0) and abs(excess[0]) < 5e-3 and excess[-1] > 0.03
     assert 6e-4 < np.interp(0.01, excess, numbers) < 1.2e-3
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("friction", "axial_strain"), [(FRICTION, 0.03), (0.3, 0.0045)])
+@pytest.mark.parametrize(("friction", "axial_strain"), [(FRICTION, 0.02), (0.3, 0.0045)])
 def test_float32_has_the_same_peak(friction, axial_strain):
     """To 0.1 %: displacements from where the list was built in float32, the platens' heights in float64. It needs the
     Coulomb cap to be one value: chosen twice by the same condition, a contact in millions got a spring of 4e5 radii.
@@ -77,7 +76,7 @@ def test_float32_has_the_same_peak(friction, axial_strain):
     for name in ("stress_ratio", "core_ratio"):
         peaks = [float(getattr(run.curve, name).max()) for run in (single, double)]
         assert peaks[0] == pytest.approx(peaks[1], rel=1e-3)
-    strain = np.linspace(5e-4, min(0.025, 0.9 * axial_strain), 50)
+    strain = np.linspace(5e-4, 0.9 * axial_strain, 50)
     curves = [np.interp(strain, r.curve.axial_strain, r.curve.stress_ratio) for r in (single, double)]
     np.testing.assert_allclose(*curves, rtol=0.02)
 
@@ -105,7 +104,7 @@ def stiffness(softness, **options):
     K = 5e4 * 20 / softness
     soft = softness / (5e4 * 20 / 1.5e9)
     return peak(
-        axial_strain=min(0.0045 * soft, 0.035),
+        axial_strain=float(np.clip(0.0045 * soft, 2e-4, 0.035)),
         friction=FRICTION, normal_stiffness=K, shear_stiffness=K, platen_speed=0.02 * min(soft**0.5, 3.0), **options,
     )  # fmt: skip
 
@@ -113,14 +112,13 @@ def stiffness(softness, **options):
 @pytest.mark.slow
 def test_stiffness():
     """The peak falls slowly with softness: the geometry changes more on the way. K/2 by the independent program: 2.432;
-    the stiffest is 2 % below Thornton's rigid balls, the paper's K 3.5 % and s3 r/K = 0.01 12 %."""
+    the stiffest is 1.5 % below Thornton's rigid balls, the paper's K 3.5 % and s3 r/K = 0.01 12 %."""
     rigid = float(theory.fcc_stress_ratio(FRICTION))
-    softness = np.array([1e-4, 1e-3 * 2 / 3, 1e-3 * 4 / 3, 1e-2])
+    softness = np.array([1e-5, 1e-3 * 2 / 3, 1e-3 * 4 / 3, 1e-2])
     peaks = np.array([stiffness(value) for value in softness])
     assert np.all(np.diff(peaks) < 0)
     assert peaks[2] == pytest.approx(2.432, rel=5e-3)
     shortfall = 1 - peaks / rigid
-    print(softness, shortfall)
     assert shortfall[0] < 0.02 and 0.03 < shortfall[1] < 0.045 and 0.1 < shortfall[-1] < 0.14
 
 
