@@ -49,9 +49,7 @@ def width_of_a_pipe():
 
 
 # Modules whose programs run long, that validate the kernels as users have them, or hold two programs to the same bits.
-THOROUGH = (
-    "test_platform", "test_table1", "test_gradients", "test_terms", "test_membrane_surface",
-)  # fmt: skip
+THOROUGH = ("test_platform", "test_table1", "test_terms", "test_membrane_surface")
 
 
 @pytest.fixture(scope="session", autouse=True)

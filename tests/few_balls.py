@@ -102,6 +102,9 @@ def run(params: Params, network: ContactList, load: Load, dt, steps, state: Stat
     return jax.lax.fori_loop(0, steps, lambda _, s: step(params, network, load, dt, s), state)
 
 
+BLOCK = 64
+
+
 @partial(jit, static_argnums=5)
 def record(params: Params, network: ContactList, load: Load, dt, state: State, steps: int) -> State:
     """All states, the first one included; every array has the steps + 1 moments in front."""
@@ -110,8 +113,12 @@ def record(params: Params, network: ContactList, load: Load, dt, state: State, s
     def one(state, _):
         return step(params, network, load, dt, state), state
 
-    last, states = jax.lax.scan(one, state, None, length=steps)
-    return jax.tree.map(lambda some, end: jnp.concatenate([some, end[None]]), states, last)
+    # In blocks: compiled in haste, a scan copies all that it has recorded with every step.
+    def block(state, _):
+        return jax.lax.scan(one, state, None, length=BLOCK)
+
+    states = jax.lax.scan(block, state, None, length=-(-(steps + 1) // BLOCK))[1]
+    return jax.tree.map(lambda some: some.reshape(-1, *some.shape[2:])[: steps + 1], states)
 
 
 def order_of(steps, errors) -> float:

@@ -42,8 +42,14 @@ def test_a_run_is_carried_over_by_similarity():
     assert curve.axial_strain[rougher.stress_ratio.argmax()] == pytest.approx(at, abs=1e-4)
 
 
-@pytest.mark.parametrize("jacobian", ["economical", "tangent", "difference"])
-@pytest.mark.parametrize("start", ["rule", "test", {"f": 0.45, "kn": 4e8}, {"f": 0.03, "kn": 7e9}])
+@pytest.mark.parametrize(
+    ("start", "jacobian"),
+    [
+        ("rule", "economical"), ("test", "tangent"), ({"f": 0.45, "kn": 4e8}, "economical"),
+        ({"f": 0.45, "kn": 4e8}, "difference"), ({"f": 0.03, "kn": 7e9}, "economical"),
+        ({"f": 0.03, "kn": 7e9}, "tangent"),
+    ],
+)  # fmt: skip
 def test_friction_and_stiffness_are_recovered(jacobian, start):
     found = fit_parameters(StandIn(), measured(StandIn(), **TRUTH), "f,kn", start=start, jacobian=jacobian)
     assert found.converged
@@ -64,7 +70,7 @@ def test_three_parameters_need_what_tells_them_apart():
 
 def test_standard_errors_cover_the_truth():
     inside, model = [], Model(StandIn(), "f,kn")
-    for seed in range(24):
+    for seed in range(12):
         found = fit_parameters(model, measured(StandIn(), noise=0.01, seed=seed, **TRUTH), "f,kn")
         z = found.parameters.coordinates({"f": 0.21, "kn": 2.4e9})
         inside.append(np.abs(found.coordinates - z) <= 2 * np.sqrt(np.diag(found.covariance)))
@@ -155,31 +161,31 @@ def test_tangents_survive_scatter_that_spoils_differences():
 
     data = measured(StandIn(), **TRUTH)
     bad = 0
-    for k, friction in enumerate((0.05, 0.1, 0.3, 0.4)):
+    for k, friction in enumerate((0.05, 0.3)):
         start = {"f": friction, "kn": 1e9 * (1 + k)}
         found = fit_parameters(Scatter(), data, "f,kn", start=start, jacobian="tangent", max_runs=60)
         assert found.estimate["friction"] == pytest.approx(0.21, rel=1e-2)
         other = fit_parameters(Scatter(), data, "f,kn", start=start, jacobian="difference", max_runs=60)
         bad += abs(other.estimate["friction"] / 0.21 - 1) > 1e-2
-    assert bad >= 3
+    assert bad == 2
 
 
 def test_multi_start_and_descent(tmp_path):
     data = measured(StandIn(), **TRUTH)
     bounds = {"f": (0.02, 0.5), "kn": (3e8, 9e9)}
-    found = fit_parameters(StandIn(), data, "f,kn", start="test", bounds=bounds, starts=5, jacobian="tangent")
+    found = fit_parameters(StandIn(), data, "f,kn", start="test", bounds=bounds, starts=3, jacobian="tangent")
     assert found.estimate["friction"] == pytest.approx(0.21, rel=2e-3)
-    assert found.cost.runs >= 5
+    assert found.cost.runs >= 3
     # A start that fails is passed over, each start is logged, and the log holds them all when it is named again.
     log, fragile = tmp_path / "log.jsonl", StandIn(broken=0.3)
-    options = {"start": "test", "bounds": bounds, "starts": 12, "log": log}
+    options = {"start": "test", "bounds": bounds, "starts": 5, "log": log}
     found = fit_parameters(fragile, measured(fragile, **TRUTH), "f,kn", **options)
     assert found.estimate["friction"] == pytest.approx(0.21, rel=2e-3)
-    assert 0 < found.failed_runs < 12 <= len(found.evaluations)
+    assert 0 < found.failed_runs < 5 <= len(found.evaluations)
     again = fit_parameters(fragile, measured(fragile, **TRUTH), "f,kn", **options)
     assert again.cost.forward_equivalents == 0
     assert again.estimate == found.estimate
-    slow = fit_by_descent(StandIn(), data, "f,kn", bounds=bounds, steps=150)
+    slow = fit_by_descent(StandIn(), data, "f,kn", bounds=bounds, steps=60)
     assert slow.estimate["friction"] == pytest.approx(0.21, rel=1e-2)
     assert slow.cost.passes > 10
 
@@ -302,10 +308,10 @@ def test_what_has_no_range_of_its_own_is_fitted_within_bounds():
 
 @pytest.mark.slow
 def test_small_specimen_twin():
-    test = TriaxialTest(fcc_octagon(layers=9, half_width=5), axial_strain=0.0085)
+    test = TriaxialTest(fcc_octagon(layers=9, half_width=5), params=Params(platen_speed=0.02), axial_strain=0.0055)
     model = Model(test, ParameterSet.of(test.params, "f,kn", {"f": (0.01, 0.6), "kn": (2.5e8, 9e9)}))
     hidden = model.run(model.parameters.coordinates({"f": 0.2, "kn": 2.2e9}))
-    strains = np.linspace(3e-4, 0.008, 60)
+    strains = np.linspace(3e-4, 0.005, 60)
     data = MeasuredCurve(strains, np.interp(strains, hidden.axial_strain, hidden.stress_ratio))
     for start in ("rule", {"f": 0.45, "kn": 3e8}):
         found = fit_parameters(model, data, "f,kn", start=start)

@@ -127,23 +127,9 @@ def test_jacobian_of_a_target_is_the_chain_rule():
 
 
 @pytest.mark.slow
-def test_small_specimen_against_differences():
-    model = Model(small_test(), "f,kn", hold_time_step=False)
-    for functional, tolerance in (
-        (WindowMean(), 2e-3),
-        (HardPeak(), 1e-2),
-        (StrainAtPeak(), 1e-2),
-        (InitialSlope(), 1e-2),
-    ):
-        health = gradient(model, functional).health
-        assert health.verdict == "use", (functional, health)
-        assert max(health.disagreement.values()) < tolerance, (functional, health)
-
-
-@pytest.mark.slow
 def test_local_damping_is_unhealthy():
     test = small_test(Params(platen_speed=0.02, damping=LocalDamping()))
-    health = gradient(test, WindowMean(), "f").health
+    health = gradient(test, WindowMean(), "f", steps=(1e-3,)).health
     assert health.verdict == "fall back"
     assert health.largest_tangent > 1e4
 
@@ -176,16 +162,17 @@ def test_a_tangent_misses_the_jump_of_a_dashpot_that_closes(damping):
 
 PEAKS = {"window": WindowMean(0.0025, 0.004), "hard": HardPeak(), "strain": StrainAtPeak(), "slope": InitialSlope()}
 LIMITS = {"window": (2e-3, 1e-2), "hard": (1e-2, 1e-2), "strain": (1e-2, 1e-2), "slope": (1e-2, 1e-2)}
-# At f = 0.3 the specimen loses its up-down symmetry between 0.35 and 0.45 % strain, from rounding: past that, runs that
-# differ by 1e-9 part by 1e-8 in R, and a tangent is that of one of the ways to buckle. So the window ends before.
+# At f = 0.3 specimens lose their up-down symmetry before 0.45 % strain, from rounding: past that, runs that differ by
+# 1e-9 part by 1e-8 in R, and a tangent is that of one of the ways to buckle. So the window ends before, and the hard
+# maximum's derivative with stiffness, a small number, is not compared.
 PEAKS_STRONG = PEAKS | {"window": WindowMean(0.002, 0.003)}
-LIMITS_STRONG = LIMITS | {"hard": (1e-2, 3e-2), "strain": (np.inf, np.inf)}
+LIMITS_STRONG = LIMITS | {"hard": (1e-2, np.inf)}
 
 
 @pytest.fixture(scope="module")
-def paper_model():
-    """The paper's quarter with dashpots of 0.2, 0.02 a platen and three quarters of the critical time step."""
-    first = TriaxialTest(fcc_octagon(), params=SETTINGS, axial_strain=0.0045)
+def small_model():
+    """With dashpots of 0.2, 0.02 a platen and three quarters of the critical time step."""
+    first = small_test()
     test = replace(first, time_step=0.75 / 0.6 * first.prepared.time_step)
     return Model(test, "f,kn", hold_time_step=False)
 
@@ -199,14 +186,14 @@ def gaps_to_differences(found, place) -> dict[str, float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("friction", [0.05, 0.3])  # between them 0.12278, in tests/validation/test_gradients.py
-def test_paper_specimen_against_differences(paper_model, friction):
+@pytest.mark.parametrize("friction", [0.05, 0.12278, 0.3])  # and the quarter at 0.12278: validation/test_gradients.py
+def test_small_specimen_against_differences(small_model, friction):
     peaks, limits = (PEAKS_STRONG, LIMITS_STRONG) if friction == 0.3 else (PEAKS, LIMITS)
 
     def functional(curve):
         return jnp.stack([one(curve) for one in peaks.values()])
 
-    found = gradient(paper_model, functional, values={"f": friction}, steps=(1e-3, 3e-4))
+    found = gradient(small_model, functional, values={"f": friction}, steps=(1e-3, 3e-4))
     for place, (kind, peak) in enumerate(peaks.items()):
         gaps = gaps_to_differences(found, place)
         print(f"f = {friction}: {peak.name}: gaps {gaps}")
@@ -216,13 +203,13 @@ def test_paper_specimen_against_differences(paper_model, friction):
 
 @pytest.fixture(scope="module")
 def lattice_model():
-    """The blocked lattice of tests/validation/test_thornton.py."""
-    specimen, sector = fcc_octagon(), Sector(4)
+    """The blocked lattice of tests/validation/test_thornton.py, of any size, strained at the same rate."""
+    specimen, sector = fcc_octagon(layers=9, half_width=5), Sector(4)
     test = TriaxialTest(
         specimen,
         sector,
         scene=Scene(rotation=False),
-        params=Params(normal_stiffness=1.5e10, shear_stiffness=1.5e10, platen_speed=0.002),
+        params=Params(normal_stiffness=1.5e10, shear_stiffness=1.5e10, platen_speed=0.0007),
         axial_strain=0.0006,
         lateral_load=lattice_load(specimen, sector),
     )

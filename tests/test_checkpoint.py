@@ -17,14 +17,14 @@ from axijax.triaxial import test as triaxial
 from axijax.triaxial.checkpoint import VERSION, load_progress, save_progress
 from axijax.triaxial.test import TriaxialTest
 
-STOP, END = 0.05, 0.1
+STOP, END = 0.03, 0.06
 
 
 @pytest.fixture(scope="module")
 def test_of():
-    """A small specimen that is rebuilt a few times on the way to 5 %, stopped at a strain."""
+    """A small specimen that is rebuilt a few times on the way to 6 %, stopped at a strain."""
     whole = TriaxialTest(
-        fcc_octagon(layers=7, half_width=5), params=Params(platen_speed=0.03), axial_strain=END, tolerance=1e-5
+        fcc_octagon(layers=7, half_width=5), params=Params(platen_speed=0.06), axial_strain=END, tolerance=1e-5
     )
     return lambda strain: replace(whole, axial_strain=strain)
 
@@ -121,12 +121,12 @@ def test_other_parameters_come_back(test_of, tmp_path):
     """Those of the run, not the test's; a friction per ball, a fixed load and no spins included."""
     base = test_of(STOP)
     friction = np.linspace(0.1, 0.3, len(base.cut))
-    params = replace(base.params, friction=friction, platen_speed=0.06)
+    params = replace(base.params, friction=friction, platen_speed=0.05)
     test = replace(base, scene=Scene(rotation=False), refresh=False, axial_strain=0.002)
     test.run(params, checkpoint=tmp_path / "shear.npz")
     start = load_progress(tmp_path / "shear.npz", test)
     np.testing.assert_array_equal(start.params.friction, friction)
-    assert start.params.platen_speed == 0.06
+    assert start.params.platen_speed == 0.05
     assert start.state.spin is None and start.fixed is not None
     longer = replace(test, axial_strain=0.012)
     assert_same(longer.run(start=start), longer.run(params))
@@ -206,7 +206,7 @@ OTHER_TESTS = {
     "specimen": {"specimen": fcc_octagon(layers=5, half_width=5)},
     "sector": {"sector": Sector(1)},
     "scene": {"scene": Scene(rotation=False)},
-    "params": {"params": Params(platen_speed=0.03, damping=LocalDamping())},
+    "params": {"params": Params(platen_speed=0.06, damping=LocalDamping())},
     "time_step": {"time_step": 0.02},
     "record_every": {"record_every": 25},
     "tolerance (1e-06 here, 1e-05 there)": {"tolerance": 1e-6},

@@ -1,7 +1,7 @@
 """Fuzz: whatever stands in a case file, a run.json or a checkpoint is accepted, or refused by one sentence.
 
-A few hundred inputs; AXIJAX_FUZZ=5000 tries as many of each kind. What is accepted is not run: the program is stopped
-where the first step would be taken.
+Some two hundred inputs; AXIJAX_FUZZ=5000 tries as many of each kind. What is accepted is not run: the program is
+stopped where the first step would be taken.
 """
 
 import io
@@ -22,10 +22,10 @@ from axijax.app.case import KINDS, SECTIONS
 from axijax.app.results import INFO, STATUSES, open_results
 from axijax.triaxial.test import TriaxialTest
 
-COUNT = int(os.environ.get("AXIJAX_FUZZ", "100"))
+COUNT = int(os.environ.get("AXIJAX_FUZZ", "50"))
 MOST_MEMORY = 2 * 2**30  # by which the process may grow, whatever an input claims [bytes]
 FUZZ = settings(
-    max_examples=COUNT, deadline=None, derandomize=COUNT == 100, database=None,
+    max_examples=COUNT, deadline=None, derandomize=COUNT == 50, database=None,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture, HealthCheck.data_too_large],
 )  # fmt: skip
 ACCEPTED = "the test was accepted"
@@ -134,7 +134,7 @@ def test_any_case_file_is_accepted_or_refused(tmp_path_factory, text):
     shutil.rmtree(folder)
 
 
-@pytest.mark.parametrize("value", [10**20, -(10**20), 99999, 2**31, 1e300, 1e-300, "\0"])
+@pytest.mark.parametrize("value", [10**20, 2**31, 1e300, "\0"])
 def test_the_same_awkward_value_in_each_field(tmp_path, value):
     """What the fuzz meets only now and then."""
     kinds = {name: kind for kind, (names, _) in KINDS.items() for name in names}

@@ -396,7 +396,7 @@ def blocked() -> TriaxialTest:
         SMALL,
         Sector(4),
         scene=Scene(rotation=False),
-        params=Params(Hertz(), platen_speed=0.002),
+        params=Params(Hertz(), platen_speed=0.004),
         axial_strain=0.0008,
         tolerance=1e-5,
         lateral_load=lattice_load(SMALL, Sector(4)),

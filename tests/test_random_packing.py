@@ -23,14 +23,16 @@ from axijax.triaxial.random_specimen import platen_speed, random_cylinder
 from axijax.triaxial.test import TriaxialTest
 
 BALLS = {1: 60, 4: 96, 12: 144}
-TOLERANCE = 1e-3
+TOLERANCE, ROUGH = 1e-3, 1e-2  # the default, and what does where only the void ratio is looked at
 DEEPEST = 0.05  # overlap in radii of the smaller ball that a specimen in balance may have
 
 
 @lru_cache
-def made(order=4, seed=0, friction=0.1):
+def made(order=4, seed=0, friction=0.1, tolerance=TOLERANCE):
     sector = Sector(order)
-    specimen, report = random_cylinder(BALLS[order], sector, compaction_friction=friction, seed=seed)
+    specimen, report = random_cylinder(
+        BALLS[order], sector, compaction_friction=friction, seed=seed, tolerance=tolerance
+    )
     return sector, specimen, report
 
 
@@ -112,7 +114,7 @@ def test_a_random_specimen_of_hertzian_balls_knows_no_units():
             confining_stress=5e4 * unit, platen_speed=0.3,
         )  # fmt: skip
         test = TriaxialTest(
-            specimen, sector, params=params, axial_strain=0.02, time_step=0.02,
+            specimen, sector, params=params, axial_strain=0.01, time_step=0.02,
             confining_friction=report.compaction_friction, tolerance=1e-3, confine_steps=100_000,
         )  # fmt: skip
         curves.append(test.run().curve)
@@ -144,12 +146,14 @@ def test_void_ratio_rises_with_the_compaction_friction():
 
 
 def test_void_ratio_is_reached_or_refused_with_the_range():
-    low, high = (made(1, friction=friction)[2].counted_void_ratio for friction in (0.05, 0.5))
+    low, high = (made(1, friction=f, tolerance=ROUGH)[2].counted_void_ratio for f in (0.05, 0.5))
     wanted = 0.5 * (low + high)
-    _, report = random_cylinder(BALLS[1], Sector(1), void_ratio=wanted, void_ratio_tolerance=0.02, seed=0)
+    _, report = random_cylinder(
+        BALLS[1], Sector(1), void_ratio=wanted, void_ratio_tolerance=0.02, seed=0, tolerance=ROUGH
+    )
     assert report.counted_void_ratio == pytest.approx(wanted, abs=0.02)
     with pytest.raises(ValueError, match=r"void_ratio = 3: .* reach 0\.\d+ .* to \d\.\d+"):
-        random_cylinder(BALLS[1], Sector(1), void_ratio=3.0)
+        random_cylinder(BALLS[1], Sector(1), void_ratio=3.0, tolerance=ROUGH)
 
 
 def test_sheared_dense_specimen_is_stronger_than_it_ends():

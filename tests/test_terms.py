@@ -185,7 +185,7 @@ def test_sliding_ball_begins_to_roll_on_a_platen(make, side):
 @pytest.mark.parametrize("radius", [1.0, 2.0])
 def test_spinning_ball_drives_itself_along_a_platen(radius):
     """Set down spinning at w0 it ends rolling at 2/7 w0 r, at 2 w0 r m/(7 f N)."""
-    f, w0, dt = 0.25, 0.01 / radius, 0.05
+    f, w0, dt = 0.25, 0.01 / radius**2, 0.05 * radius**2  # as many steps for either
     params = unit_params(platen_friction=f, damping=Dashpot(0.3))
     params, network, state = bearing(params, 0, np.zeros((3, 1)), [[0.0], [w0], [0.0]], radius)
     time = 2 * w0 * radius * radius**3 / (7 * f * PUSH)

@@ -195,8 +195,8 @@ def test_members_of_a_vmap_are_caught_one_by_one_and_pay_for_the_whole_list_only
 
 
 def test_a_random_specimen_runs_as_with_the_whole_list():
-    """Curves of `run` and `simulate` with and without it are equal to rounding, derivatives too."""
-    specimen, report = random_cylinder(96, Sector(4), seed=3, tolerance=1e-2)
+    """Curves of `run` and `simulate` are equal to rounding to those of `simulate` without it, derivatives too."""
+    specimen, report = random_cylinder(60, Sector(4), seed=3, tolerance=1e-2)
     test = TriaxialTest(
         specimen, Sector(4), params=Params(platen_speed=0.2), axial_strain=3e-3, tolerance=1e-2,
         confining_friction=report.compaction_friction,
@@ -207,15 +207,16 @@ def test_a_random_specimen_runs_as_with_the_whole_list():
     loose.__dict__["prepared"] = replace(prepared, network=replace(prepared.network, tight=None))
     direction = jax.tree.map(jnp.zeros_like, replace(test.params, friction=1.0))
     direction = replace(direction, friction=jnp.ones(()))
-    ran = [each.run().curve for each in (test, loose)]
-    there = [jax.jvp(each.simulate, (test.params,), (direction,)) for each in (test, loose)]
-    for (curve, slope), (other, other_slope) in ((there[0], there[1]), ((ran[0], None), (ran[1], None))):
-        for name in ("stress_ratio", "core_ratio", "volumetric_strain", "coordination_number"):
-            np.testing.assert_allclose(getattr(curve, name), getattr(other, name), rtol=1e-12, atol=1e-14)
-        if slope is not None:
-            np.testing.assert_allclose(slope.stress_ratio, other_slope.stress_ratio, rtol=1e-9, atol=1e-12)
-    size = ran[0].stress_ratio.size
-    np.testing.assert_allclose(ran[0].stress_ratio, there[0][0].stress_ratio[:size], rtol=1e-12)
+    (curve, slope), (whole, whole_slope) = (
+        jax.jvp(each.simulate, (test.params,), (direction,)) for each in (test, loose)
+    )
+    ran = test.run().curve
+    for name in ("stress_ratio", "core_ratio", "volumetric_strain", "coordination_number"):
+        expected = getattr(whole, name)
+        np.testing.assert_allclose(getattr(curve, name), expected, rtol=1e-12, atol=1e-14)
+        found = getattr(ran, name)
+        np.testing.assert_allclose(found, expected[: found.size], rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(slope.stress_ratio, whole_slope.stress_ratio, rtol=1e-9, atol=1e-12)
 
 
 def test_a_term_that_acts_at_a_distance_sees_the_whole_list():
