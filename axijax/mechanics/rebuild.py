@@ -53,18 +53,25 @@ def specimen_now(cut: Specimen, network: ContactList, membrane: Membrane, state:
 
 
 def roomy_lists(
-    specimen: Specimen, sector: Sector, dtype=np.float64, largest_overlap: float = 0.05
+    specimen: Specimen, sector: Sector, dtype=np.float64, largest_overlap: float = 0.05, denser: float = 1.0
 ) -> tuple[ContactList, Membrane]:
     """Contact list and membrane with room for what a random packing will become (host).
 
     Rooms are those of a usual dense packing where these are enough, so that specimens of a kind, loose and dense, share
     one shape, and one compiled program.
+
+    denser: how many times as many neighbours a ball may have later; a list that outgrows its room is compiled anew [-].
     """
     count = len(specimen)
     outer = int(5 * (count * sector.order) ** (2 / 3) / sector.order) + 8
-    network = _list_in(18, 64 * -(-count // 10), specimen, sector, None, largest_overlap, dtype)
+    width, contacts, tight = 18, 64 * -(-count // 10), Room(36 * -(-count // 10), 12)
+    network = _list_in(width, contacts, specimen, sector, None, largest_overlap, dtype)
+    if denser > 1:
+        now = np.asarray(network.side != 0).sum(axis=0).max()
+        network = _list_in(max(width, int(denser * now)), contacts, specimen, sector, None, largest_overlap, dtype)
+        tight = tight._replace(width=max(tight.width, int(denser * room_for(network).width)))
     if specimen.zone_rule == "exposure":
-        network = replace(network, tight=_tight_room(network, Room(36 * -(-count // 10), 12), spare=True))
+        network = replace(network, tight=_tight_room(network, tight, spare=True))
     return network, _membrane_in(3 * outer + 80, outer, specimen, sector, dtype)
 
 

@@ -47,6 +47,7 @@ from axijax.triaxial.uniformity import core_stress, trends
 
 BEYOND = 1.5  # mean radii by which the balls reach beyond Rm, once compacted
 LIGHTEST = 0.75  # radius of the ball that is as heavy as the lightest in compaction, over that of the mean volume
+DENSER = 1.7  # times the neighbours that a large ball among small ones has at the loose start, it has once compacted
 STIFFEST = 3e-4  # softness s3 r/kn down to which compaction takes the stiffness of Hertzian balls
 # Radius of the core that no ball can reach, over the cloud's, above which it cannot contract alike in all directions.
 HOLLOW = 0.25
@@ -224,7 +225,8 @@ def _grown(radius: np.ndarray, sector: Sector, aspect_ratio: float, solid_fracti
 
 def _compacted(loose: Specimen, sector: Sector, params: Params, path: Compaction):
     """A sector's balls in balance at the confining stress, and the report of it but for grading and seed."""
-    network, membrane = roomy_lists(loose, sector)
+    mixed = loose.radius.max() > 2 * loose.radius.min()
+    network, membrane = roomy_lists(loose, sector, denser=DENSER if mixed else 1.0)
     inertia, least = _inertia(loose.radius)
     lists = with_mass_factor(network, inertia), membrane
     mass = float(params.density) * (4 / 3) * np.pi * least**3
