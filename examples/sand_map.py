@@ -3,7 +3,7 @@
 A dense and a medium specimen are packed with each seed and sheared with every pair of friction and rolling friction.
 Every test writes one file, so the study may be stopped and started again; several processes share the packings:
 
-    python examples/sand_map.py --output sand_map --workers 2 --picture sand_map.png     # an hour of one core
+    python examples/sand_map.py --output sand_map --workers 2 --picture sand_map.png     # half an hour
 
 It writes table.csv into the output folder: means over the seeds with their standard errors. Then it
 shears with what the map gives for each sand, and tells whether strength and dilatancy are that sand's.
@@ -36,11 +36,7 @@ SANDS = {
     "dense": {"Karlsruhe TMD18": (39.9, 0.63, 7.1), "Karlsruhe TMD17": (40.4, 0.72, 6.6)},
     "medium": {"Toyoura 0.2 MPa": (39.8, 0.65, 5.4), "Karlsruhe TMD13": (36.9, 0.35, 10.4)},
 }
-NUMBERS = {
-    "peak": "peak friction angle [degrees]",
-    "dilatancy": "dilatancy rate at the peak [-]",
-    "strain": "axial strain at the peak [%]",
-}
+PEAK = "peak friction angle [degrees]"
 
 
 def test_of(options, specimen, friction: float, rolling: float):
@@ -140,22 +136,22 @@ def table(options) -> list[dict]:
 
 
 def draw(rows: list[dict], path: Path) -> None:
-    """Per density: the numbers over the map, and strength against dilatancy with the sands' own points."""
+    """Per density: strength over the map, and strength against dilatancy with the sands' own points."""
     import matplotlib.pyplot as plt
 
-    figure, panels = plt.subplots(2, 4, figsize=(17, 7.2), constrained_layout=True)
+    figure, panels = plt.subplots(2, 2, figsize=(9, 7.2), constrained_layout=True)
     for (density, sands), line in zip(SANDS.items(), panels, strict=True):
         mine = {(row["friction"], row["rolling_friction"]): row for row in rows if row["density"] == density}
         voids = np.mean([row["void_ratio"] for row in mine.values()])
-        for axes, name in zip(line, ("peak", "dilatancy", "strain"), strict=False):
-            values = np.array([[mine[f, r][name] if (f, r) in mine else np.nan for f in FRICTIONS]
-                               for r in ROLLING_FRICTIONS])  # fmt: skip
-            levels = axes.contourf(FRICTIONS, ROLLING_FRICTIONS, values, 10, cmap="cividis")
-            figure.colorbar(levels, ax=axes, label=NUMBERS[name])
-            axes.plot(*np.meshgrid(FRICTIONS, ROLLING_FRICTIONS), "k.", ms=2)
-            axes.set(xlabel="friction f [-]", ylabel="rolling friction eta_r [-]")
-        line[0].set_title(f"{density}, void ratio {voids:.2f}", loc="left")
-        draw_reach(line[3], mine, sands)
+        axes, reach = line
+        values = np.array([[mine[f, r]["peak"] if (f, r) in mine else np.nan for f in FRICTIONS]
+                           for r in ROLLING_FRICTIONS])  # fmt: skip
+        levels = axes.contourf(FRICTIONS, ROLLING_FRICTIONS, values, np.arange(10, 65, 5), cmap="cividis")
+        figure.colorbar(levels, ax=axes, label=PEAK)
+        axes.plot(*np.meshgrid(FRICTIONS, ROLLING_FRICTIONS), "k.", ms=3, clip_on=False)
+        axes.set(xlabel="friction f [-]", ylabel="rolling friction eta_r [-]")
+        axes.set_title(f"{density}, void ratio {voids:.2f}", loc="left")
+        draw_reach(reach, mine, sands)
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
@@ -173,8 +169,8 @@ def draw_reach(axes, mine: dict, sands: dict) -> None:
         )  # fmt: skip
     for (name, (angle, dilatancy, _)), marker in zip(sands.items(), "PX", strict=False):
         axes.plot(angle, dilatancy, marker, color="crimson", ms=9, mec="white", label=name)
-    axes.set(xlabel=NUMBERS["peak"], ylabel=NUMBERS["dilatancy"])
-    axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+    axes.set(xlabel=PEAK, ylabel="dilatancy rate at the peak [-]")
+    axes.legend(fontsize=8, loc="upper left", frameon=False)
 
 
 def away(peak, dilatancy, sand) -> np.ndarray:
