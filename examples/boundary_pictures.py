@@ -7,7 +7,7 @@ import csv
 from pathlib import Path
 
 import numpy as np
-from boundary_statistics import ORDERS, full_scatter
+from boundary_statistics import ORDERS
 
 from axijax.core.palette import COLOURS, STYLES
 
@@ -20,7 +20,7 @@ TABLE = Path(__file__).parent / "pictures" / "boundary_sensitivity.csv"
 def draw(samples, table: Path) -> None:
     """Both pictures, beside the table of all numbers."""
     samples = {key: sample for key, sample in samples.items() if sample.runs}
-    draw_strength(table, full_scatter(samples))
+    draw_strength(table)
     draw_profiles(samples, table.with_name("boundary_profiles.png"))
 
 
@@ -42,8 +42,8 @@ def figure_of(rows: int, columns: int):
     return figure, figure.subplots(rows, columns)
 
 
-def draw_strength(table: Path, scatter: dict[int, float] | None = None) -> None:
-    """How much stronger or weaker sectors are than the full cylinder. scatter: of single full cylinders by size [%]."""
+def draw_strength(table: Path) -> None:
+    """How much stronger or weaker sectors are than the full cylinder, from the table alone."""
     lines = [line for line in table.read_text().splitlines() if not line.startswith("#")]
     rows = list(csv.DictReader(lines))
     sizes = sorted({int(row["size"]) for row in rows})
@@ -65,8 +65,11 @@ def draw_strength(table: Path, scatter: dict[int, float] | None = None) -> None:
     axes[0, 1].set_xlabel("arc of the sector at Rm [mean ball diameters]")
     axes[0, 1].set_xticks([2, 3, 5, 10, 20], ["2", "3", "5", "10", "20"])
     for size, colour in zip(sizes, COLOURS, strict=False):
-        for side in (-1, 1) if scatter else ():
-            axes[0, 1].axhline(side * scatter[size], color=colour, linewidth=0.7, linestyle="--")
+        full = [row for row in rows if (row["size"], row["order"]) == (str(size), "1") and row["early ratio"]]
+        relative = [float(row["scatter of a run's early ratio"]) / float(row["early ratio"]) for row in full]
+        for side in (-100, 100):
+            axes[0, 1].axhline(side * np.sqrt(np.mean(np.square(relative))), color=colour, lw=0.7, linestyle="--")
+    axes[0, 1].text(0.97, 0.04, "dashed: scatter of single\nfull cylinders", transform=axes[0, 1].transAxes, ha="right")
 
     by_friction = axes[1, 1]
     shown = [row for row in rows if int(row["size"]) == sizes[-1] and row["friction"] != "all"]

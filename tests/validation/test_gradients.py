@@ -1,7 +1,6 @@
 """The map from parameters to a curve under jit, vmap, jvp and grad, against central differences of the same run."""
 
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -10,9 +9,6 @@ import pytest
 from hasty import hasty
 
 from axijax import Params, Sector, TriaxialTest, fcc_octagon
-
-# Of the small test, which runs briefly: not worth optimising; that of the quarter is as users have it.
-jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 
 def window_mean(curve, low, high):
@@ -30,7 +26,7 @@ def test_friction_derivative_of_the_peak_of_the_quarter():
         return window_mean(test.simulate(replace(test.params, friction=friction)), 0.0025, 0.005)
 
     friction, h = 0.12278, 1e-4
-    with hasty(False):
+    with hasty(False):  # as users have it; the small tests' programs are not worth optimising
         _, slope = jax.jvp(top, (friction,), (1.0,))
         differences = (top(friction + h) - top(friction - h)) / (2 * h)
     assert float(slope) == pytest.approx(float(differences), rel=5e-3)
@@ -60,17 +56,17 @@ def ratios(small):
 
 @pytest.fixture(scope="module")
 def compiled(ratios):
-    return jit(ratios)
+    return jax.jit(ratios)
 
 
 @pytest.fixture(scope="module")
 def slopes(ratios):
-    return jit(jax.jacfwd(lambda log_factors: ratios(log_factors)[EARLY]))(jnp.zeros(len(NAMES)))
+    return jax.jit(jax.jacfwd(lambda log_factors: ratios(log_factors)[EARLY]))(jnp.zeros(len(NAMES)))
 
 
 def test_batch_equals_one_at_a_time(ratios, compiled):
     many = jnp.zeros((3, len(NAMES))).at[:, 0].set(jnp.log(jnp.array([0.8, 1.6, 2.4])))
-    for one, curve in zip(many, jit(jax.vmap(ratios))(many), strict=True):
+    for one, curve in zip(many, jax.jit(jax.vmap(ratios))(many), strict=True):
         np.testing.assert_allclose(curve, compiled(one), rtol=1e-9)
 
 
@@ -92,7 +88,7 @@ def test_friction_per_ball_adds_up_to_the_scenes(small, compiled, slopes):
         return small.simulate(replace(base, friction=friction)).stress_ratio[EARLY]
 
     at = jnp.full(len(small.cut), common)
-    each, along = jit(lambda at: jax.jvp(early, (at,), (at,)))(at)
+    each, along = jax.jit(lambda at: jax.jvp(early, (at,), (at,)))(at)
     assert float(each) == pytest.approx(float(compiled(jnp.zeros(len(NAMES)))[EARLY]), rel=1e-12)
     assert float(along) == pytest.approx(float(slopes[0]), rel=1e-9)
 
@@ -105,4 +101,4 @@ def test_without_friction_there_is_no_coefficient_and_no_tangential_spring(small
     def last(ks):
         return lean.simulate(replace(params, shear_stiffness=ks)).stress_ratio[-1]
 
-    assert float(jit(lambda ks: jax.jvp(last, (ks,), (1.5e8,))[1])(1.5e9)) == 0.0
+    assert float(jax.jit(lambda ks: jax.jvp(last, (ks,), (1.5e8,))[1])(1.5e9)) == 0.0
