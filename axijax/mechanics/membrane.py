@@ -377,8 +377,9 @@ def membrane_force(stress, areas: jax.Array, positions: Vector) -> Vector:
     stress: confining stress, compression positive; areas: (N,) from `cell_areas` [L^2]; positions: (N,) vectors.
     """
     rho = radial_distance(positions)
-    inward = -stress * areas / jnp.where(rho > 0, rho, 1.0)
-    return Vector(inward * positions.x, inward * positions.y, jnp.zeros_like(inward))
+    inward = -areas / jnp.where(rho > 0, rho, 1.0)
+    # In this order, so that a servo that asks for the forces of a unit stress shares all but the last product.
+    return Vector(stress * (inward * positions.x), stress * (inward * positions.y), jnp.zeros_like(inward))
 
 
 def _corner_places(membrane, positions, bottom, top, radius):
