@@ -77,10 +77,31 @@ class Observation(NamedTuple):
     top_torque: jax.Array | None = None
 
 
+class Space(NamedTuple):
+    """What is measured without a contact: radius Rm, and `volume` and `void_ratio` of `Observation`; scalars."""
+
+    membrane_radius: jax.Array
+    volume: jax.Array
+    void_ratio: jax.Array
+
+
+def space(network: ContactList, membrane: Membrane, state: State) -> Space:
+    """Measure the room that a specimen takes."""
+    place, platens = positions(network, state), state.platens
+    radius = membrane_radius(membrane, place)
+    if membrane.zone_rule != "exposure":
+        volume = jnp.pi * radius**2 * (platens[1] - platens[0])
+        return Space(radius, volume, jnp.full_like(volume, jnp.nan))
+    balls = network.radius, network.weight, network.sector
+    voids = void_ratio(place, *balls, platens.astype(network.dtype))
+    return Space(radius, (1 + voids) * solid_volume(*balls), voids)
+
+
 def observe(
-    scene: Scene, params: Params, network: ContactList, membrane: Membrane, load: Load, dt, state: State
-) -> Observation:
-    """Measure a state; arguments as in `axijax.mechanics.dynamics.all_forces`."""
+    scene: Scene, params: Params, network: ContactList, membrane: Membrane, load: Load, dt, state: State,
+    room: Space | None = None,
+) -> Observation:  # fmt: skip
+    """Measure a state; arguments as in `axijax.mechanics.dynamics.all_forces`. room: where `space` has measured it."""
     forces = all_forces(scene, params, network, load, dt, state)
     place = positions(network, state)
     height = state.platens[1] - state.platens[0]
@@ -88,14 +109,7 @@ def observe(
     platen_forces = forces.platen_forces(network)
     platen_force = straightened(stress, load, platen_forces).mean()
     lateral = lateral_force(stress, load, place)
-    radius = membrane_radius(membrane, place)
-    solids = solid_volume(network.radius, network.weight, network.sector)
-    if membrane.zone_rule == "exposure":
-        voids = void_ratio(place, network.radius, network.weight, network.sector, state.platens.astype(network.dtype))
-        volume = (1 + voids) * solids
-    else:
-        volume = jnp.pi * radius**2 * height
-        voids = jnp.full_like(volume, jnp.nan)
+    room = space(network, membrane, state) if room is None else room
 
     force = forces.contacts.force
     pair = geometry(network, state.displacement)
@@ -112,14 +126,12 @@ def observe(
     return Observation(
         stress_ratio=platen_force / load.section / stress,
         virial_ratio=virial_ratio(platen_forces.mean(), lateral, load, place, state.platens),
-        core_ratio=core_stress_ratio(network, forces, normal, place, radius, state.platens),
+        core_ratio=core_stress_ratio(network, forces, normal, place, room.membrane_radius, state.platens),
         lateral_stress=jnp.asarray(stress, platen_force.dtype),
         bottom_force=platen_forces[0] * network.sector.order,
         top_force=platen_forces[1] * network.sector.order,
         height=height,
-        membrane_radius=radius,
-        volume=volume,
-        void_ratio=voids,
+        **room._asdict(),
         coordination_number=2 * number / network.weight.sum(),
         unbalanced_force=(resultant * network.weight).sum() / network.weight.sum() / jnp.maximum(mean_force, 1e-300),
         sliding_fraction=sliding,

@@ -18,11 +18,11 @@ from axijax.mechanics.contact_list import ContactList, closing
 from axijax.mechanics.contact_search import rebuild_in_jit
 from axijax.mechanics.dynamics import Scene, make_step, positions
 from axijax.mechanics.membrane import Load, Membrane, membrane_load
-from axijax.mechanics.observe import Observation, observe
+from axijax.mechanics.observe import Observation, Space, observe, space
 from axijax.mechanics.params import Params
 from axijax.mechanics.state import State
 from axijax.triaxial.paths import Path
-from axijax.triaxial.tight_steps import can_be_tight, fixed_steps, observed, steps_until_worn, tight_list
+from axijax.triaxial.tight_steps import can_be_tight, fixed_steps, not_yet, observed, steps_until_worn, tight_list
 
 STALE = 1e-2  # largest share of the strip's area that may be counted to the wrong cell
 WORN, WORN_CELLS = 0.6, 0.05  # shares of the skin, and of STALE, at which the lists need a rebuild
@@ -94,13 +94,14 @@ def march_stage(
 def _block(scene: Scene, path: Path, record_every: int, lists: Lists, dt, params: Params, start: State, fixed, begins):
     """A scan's body: observes a state, and takes it `record_every` steps further."""
     network, membrane = lists
-    step, observe_and_check = _stepping(scene, path, lists, dt, params, start)
+    step, see = _stepping(scene, path, lists, dt, params, start)
     tightly = can_be_tight(network, params)
 
     def block(state, _):
         load = current_load(membrane, network, state, fixed)
         tight = tight_list(network, state, dt, record_every) if tightly else None
-        seen, status = observed(partial(observe_and_check, load), network, tight, state)
+        seen = observed(partial(see, load, space(network, membrane, state)), network, tight, state)
+        status = status_bits(network, membrane, state, load)
         watched = path.watch(seen, state)
 
         def further(state):
@@ -175,7 +176,7 @@ def march_until(
         record still, and stop before it.
     """
     network, membrane = lists
-    step, observe_and_check = _stepping(scene, path, lists, dt, params, state)
+    step, see = _stepping(scene, path, lists, dt, params, state)
     tightly = can_be_tight(network, params)
 
     def going(carry):
@@ -206,7 +207,7 @@ def march_until(
         else:
             state, taken = with_all(state, now.due)
         load = current_load(membrane, network, state, fixed)
-        found, status = observed(partial(observe_and_check, load), network, tight, state)
+        found = observed(partial(see, load, space(network, membrane, state)), network, tight, state)
         due = now.due - taken
         recorded = due == 0
         seen = now.seen
@@ -228,13 +229,14 @@ def march_until(
             due=jnp.where(recorded, ahead, due),
             steps=steps,
             watched=watched,
-            status=now.status | status,
+            status=now.status | status_bits(network, membrane, state, load),
             worn=wear(network, state, load) > 1,
         ), load, tight
 
     load = current_load(membrane, network, state, fixed)
-    tight = tight_list(network, state, dt, record_every) if tightly else None
-    shape, _ = jax.eval_shape(observe_and_check, load, network, state)
+    begin = not_yet if until_worn else tight_list
+    tight = begin(network, state, dt, record_every) if tightly else None
+    shape = jax.eval_shape(lambda: see(load, space(network, membrane, state), network, state))
     empty = None
     if records is not None:
         empty = jax.tree.map(lambda value: jnp.zeros((records, *value.shape), value.dtype), shape)
@@ -248,8 +250,8 @@ def march_until(
 
 
 def _stepping(scene: Scene, path: Path, lists: Lists, dt, params: Params, start: State):
-    """A step of the stage, (load, network, state) -> state; and what is observed of a state and its load, with status
-    bits. `network` is the contact list, or a tight one filtered from it."""
+    """A step of the stage, (load, network, state) -> state; and what is observed of a state, (load, room, network,
+    state) -> observation. `network` is the contact list, or a tight one filtered from it."""
     warn_where_slow()
     network, membrane = lists
     scene, params = path.scene(scene), path.params(params, network, membrane, start.platens)
@@ -258,10 +260,10 @@ def _stepping(scene: Scene, path: Path, lists: Lists, dt, params: Params, start:
     def step(load: Load, network: ContactList, state: State) -> State:
         return one(params, network, load, dt, state)
 
-    def observe_and_check(load: Load, network: ContactList, state: State):
-        return observe(scene, params, network, membrane, load, dt, state), status_bits(network, membrane, state, load)
+    def see(load: Load, room: Space, network: ContactList, state: State) -> Observation:
+        return observe(scene, params, network, membrane, load, dt, state, room)
 
-    return step, observe_and_check
+    return step, see
 
 
 def current_load(membrane: Membrane, network: ContactList, state: State, fixed: Load | None = None) -> Load:

@@ -32,6 +32,13 @@ def tight_list(network: ContactList, state: State, dt, steps: int) -> Tight:
     return tighten(network, state.displacement, allowances(network, state.velocity, dt, min(steps, STEPS)))
 
 
+def not_yet(network: ContactList, state: State, dt, steps: int) -> Tight:
+    """In place of a tight list that `steps_until_worn` is to make: one that holds nothing, and says so. A list that is
+    made here as well would have to be compiled twice."""
+    shape = jax.eval_shape(lambda: tight_list(network, state, dt, steps))
+    return jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), shape)
+
+
 def observed(see: Callable[[ContactList, State], Any], network: ContactList, tight: Tight | None, state: State) -> Any:
     """What is seen of a state with a tight list, or with the contact list where there is none or it does not hold."""
     if tight is None:

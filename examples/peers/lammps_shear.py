@@ -136,8 +136,8 @@ def platens_of_equal(radius: float, stiffness: float) -> list[str]:
 
 
 def platens(bottom: float, top: float, stiffness: float, shear: float) -> list[str]:
-    """Walls that know every ball's radius."""
-    law = f"hooke {stiffness!r} {shear!r} 0.0 0.0 0.0 0"
+    """Walls that know every ball's radius. LAMMPS divides by the dashpot's rate, so that it may not be zero."""
+    law = f"hooke {stiffness!r} {shear!r} 1e-30 0.0 0.0 0"
     return [
         f"region bottom plane 0 0 {bottom!r} 0 0 1 move NULL NULL v_way units box",
         f"region top plane 0 0 {top!r} 0 0 -1 move NULL NULL v_back units box",
