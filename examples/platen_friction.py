@@ -11,7 +11,6 @@ It writes table.csv into the output folder: means over the seeds with their stan
 """
 
 import argparse
-import csv
 import itertools
 import json
 import time
@@ -19,6 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from specimen_pool import save_rows
 
 FRICTION = 0.3  # between balls
 COMPACTION_FRICTION = 0.05
@@ -161,10 +161,7 @@ def means(sound: list[dict]) -> dict:
 
 
 def write_table(rows: list[dict], path: Path) -> None:
-    with open(path, "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+    save_rows(path, rows)
     for row in rows:
         names = [name for name in row if f"{name} +-" in row]
         told = ", ".join(f"{name} {row[name]:.3g} +- {row[f'{name} +-']:.2g}" for name in names)

@@ -10,7 +10,6 @@ shears with what the map gives for each sand, and tells whether strength and dil
 """
 
 import argparse
-import csv
 import itertools
 import json
 import pickle
@@ -21,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 from platen_friction import means
-from specimen_pool import Deadline, Late, work
+from specimen_pool import Deadline, Late, save_rows, work
 
 # Compaction frictions: void ratios of about 0.59 and 0.69. Specimens are compacted without rolling resistance, which
 # would keep them looser (0.63 and 0.82).
@@ -226,10 +225,7 @@ def main() -> None:
     options.deadline = Deadline(options.limit)
     run_missing(options, {density: PAIRS for density in DENSITIES})
     rows = table(options)
-    with open(options.output / "table.csv", "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+    save_rows(options.output / "table.csv", rows)
     sands(options, rows)
     if options.picture:
         draw(rows, options.picture)

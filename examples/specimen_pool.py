@@ -8,6 +8,7 @@ import os
 import time
 from collections.abc import Callable, Hashable, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from pathlib import Path
 
 MARGIN = 5.0  # seconds before the limit, after which nothing is begun
 
@@ -92,3 +93,11 @@ def _kernels() -> None:
 
     axijax.fast_cpu_kernels()
     axijax.use_compilation_cache()
+
+
+def save_rows(path: Path, rows: list[dict]) -> None:
+    """Write rows of the same names as CSV, numbers to four digits."""
+    from axijax.app.results import save_table  # takes long to import
+
+    rounded = [{name: f"{each:.4g}" if isinstance(each, float) else each for name, each in row.items()} for row in rows]
+    save_table(path, list(rows[0]), rounded)

@@ -15,7 +15,6 @@ ends by itself after so many seconds. table.csv holds means over the seeds with 
 """
 
 import argparse
-import csv
 import json
 import pickle
 import time
@@ -25,7 +24,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from specimen_pool import Deadline, Late, work
+from specimen_pool import Deadline, Late, save_rows, work
 
 FRICTION = 0.5  # between balls, in the shear
 DENSITIES = {"dense": 0.05, "loose": 0.4}  # friction in compaction and confinement
@@ -240,10 +239,7 @@ def table(options) -> list[dict]:
 def write_table(rows: list[dict], path: Path) -> None:
     if not rows:
         return
-    with open(path, "w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+    save_rows(path, rows)
     for row in rows:
         print(f"{row['density']}: {row['what']}: {row['mean']:.4g} +- {row['error']:.2g} ({row['seeds']} seeds)")
 
