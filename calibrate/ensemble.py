@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from axijax.core.parallel import cores, end_with_parent
-from axijax.core.platform import fast_cpu_kernels, use_compilation_cache
+from axijax.core.platform import fast_cpu_kernels, make_room_for_programs, use_compilation_cache
 from calibrate.library import FIELDS, Library, StoredRun
 from calibrate.scene import RandomScene
 
@@ -36,6 +36,7 @@ def one_run(scene: RandomScene, job: Job, reach: float) -> StoredRun:
     point, seed = job
     start = time.perf_counter()
     curve, failed = None, None
+    make_room_for_programs()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of one packing among many; what spoils a run is raised

@@ -7,12 +7,12 @@ start share them.
 import os
 import shutil
 import tempfile
-from pathlib import Path
 
 import axijax  # isort: skip  (before jax: it quietens XLA)
-import jax
 import pytest
 from hasty import hasty
+
+from axijax.core.platform import make_room_for_programs
 
 axijax.fast_cpu_kernels()
 
@@ -67,9 +67,6 @@ def haste_of_a_module(request, haste):
 
 @pytest.fixture(scope="module", autouse=True)
 def few_mappings():
-    """A process may map some 65,000 pieces of memory (Linux), of which each compiled program takes several: a worker
-    that has run a thousand tests would die of it while it compiles the next."""
+    """A worker that has run a thousand tests would die of its programs while it compiles the next."""
     yield
-    maps = Path("/proc/self/maps")
-    if maps.exists() and maps.read_bytes().count(b"\n") > 20_000:
-        jax.clear_caches()
+    make_room_for_programs()

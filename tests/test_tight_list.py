@@ -32,11 +32,13 @@ def moved_balls(order, seed=0, on_axis=2):
     return network, from_rows(shift), replace(specimen, positions=specimen.positions + shift, bottom=-9.0, top=9.0)
 
 
+@pytest.mark.parametrize("room", [Room(2000, 200), Room(2000, 1, 26, 199)])
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 5, 12])
-def test_it_holds_every_pair_that_its_balls_may_close(order):
-    """Images included, each once, in the order of the contact list; and its slots sum up the same on every ball."""
+def test_it_holds_every_pair_that_its_balls_may_close(order, room):
+    """Images included, each once, in the order of the contact list; and its slots sum up the same on every ball, also
+    where some of them stand in a second table."""
     network, shift, now = moved_balls(order)
-    network = replace(network, tight=Room(2000, 200))
+    network = replace(network, tight=room)
     allowed = np.random.default_rng(9).uniform(0.0, 0.1, 25)
     tight = tightened(network, shift, jnp.asarray(allowed))
     assert bool(tight.fits)
@@ -55,7 +57,7 @@ def test_it_holds_every_pair_that_its_balls_may_close(order):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("room", [Room(8, 200), Room(2000, 2)])
+@pytest.mark.parametrize("room", [Room(8, 200), Room(2000, 2), Room(2000, 2, 5, 200), Room(2000, 2, 26, 3)])
 def test_it_says_when_it_has_no_room(room):
     network, shift, _ = moved_balls(3)
     tight = tightened(replace(network, tight=room), shift, jnp.full(25, 0.1))

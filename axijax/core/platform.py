@@ -194,3 +194,11 @@ _seen.def_abstract_eval(lambda *values: list(values))
 ad.primitive_jvps[_seen] = lambda primals, tangents: (_seen.bind(*primals), list(tangents))
 batching.primitive_batchers[_seen] = _batched
 mlir.register_lowering(_seen, lambda _context, *values: list(values))
+
+
+def make_room_for_programs(most: int = 20_000) -> None:
+    """Forget what has been compiled where it fills a good part of the 65,000 pieces of memory that a process may map
+    (Linux), since the program that finds none left ends the process. For loops over many specimens."""
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_bytes().count(b"\n") > most:
+        jax.clear_caches()

@@ -42,10 +42,30 @@ class Grid:
 
 
 class Room(NamedTuple):
-    """Numbers of contacts and of slots of the tight lists, see `axijax.mechanics.tight_list`; static and hashable."""
+    """Numbers of contacts and of slots of the tight lists, see `axijax.mechanics.tight_list`; static and hashable.
+
+    crowd, further: balls that may have more contacts than `width`, and how many more each, see `Crowd`; 0 for none.
+    """
 
     contacts: int
     width: int
+    crowd: int = 0
+    further: int = 0
+
+
+class Crowd(NamedTuple):
+    """Further slots of the balls that have more contacts than the table of slots has rows: of a wide grading the
+    largest balls have some dozen contacts, most balls six. There are M - 1 columns for them, and an empty one.
+
+    slot, side, slot_cos, slot_sin: (R, M) as of `ContactList`. column: (N,) int, of each ball, the last where it has no
+    further slots.
+    """
+
+    slot: jax.Array
+    side: jax.Array
+    slot_cos: jax.Array
+    slot_sin: jax.Array
+    column: jax.Array
 
 
 @shown
@@ -70,6 +90,7 @@ class ContactList:
     status: bits of what went wrong in any update so far; an error sticks.
     grid: with which `axijax.mechanics.contact_search` finds contacts inside jit; None where it never does.
     tight: room of the tight lists that steps may see in its place; None where nearly all of its contacts touch.
+    crowd: further slots of balls with more contacts than K; None where none can have more.
     mass_factor: (N,) by which the balls' true masses and moments of inertia are multiplied, see
         `axijax.mechanics.mass_scaling`; None for true ones [-].
     """
@@ -97,6 +118,7 @@ class ContactList:
     sector: Sector = field(metadata={"static": True})
     grid: Grid | None = field(default=None, metadata={"static": True})
     tight: Room | None = field(default=None, metadata={"static": True})
+    crowd: Crowd | None = None
     mass_factor: jax.Array | None = None
 
     @property

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from axijax.core.gather import IN_BOUNDS, Arrays, linear
+from axijax.core.once import computed_once
 from axijax.core.vector import Vector
 
 if TYPE_CHECKING:
@@ -23,21 +24,34 @@ def at_ends(network: "ContactList", numbers: Arrays) -> list[jax.Array]:
     if network.sector.images > 1:
         share = jnp.where(_axial(network), 1 / network.sector.images, 1.0)
         tables = *tables, share.astype(network.dtype), _own_mirror(network)
+    if crowd := network.crowd:
+        tables = crowd.column, crowd.slot, crowd.side, *tables
+        return linear(_at_ends_crowded, _from_ends_crowded, tables, numbers)
     return linear(_at_ends, _from_ends, tables, numbers)
 
 
 def on_balls(network: "ContactList", vectors: Vector, reaction: float) -> list[jax.Array]:
     """Components (N,) of the sum of the contacts' vectors (C,) on each ball, times `reaction` on the second ball."""
-    factor = network.side if reaction < 0 else jnp.abs(network.side)
+    signed = (lambda side: side) if reaction < 0 else jnp.abs
+    factor, crowd = signed(network.side), network.crowd
+    tables: tuple[jax.Array, ...]
     listed = (network.image >= 0).astype(network.dtype)
     ends = network.first, network.second
     if network.sector.images == 1:
-        return linear(_sum, _from_balls, (network.slot, factor, *ends, listed, reaction * listed), tuple(vectors))
+        tables = network.slot, factor, *ends, listed, reaction * listed
+        if crowd:
+            tables = crowd.column, crowd.slot, signed(crowd.side), *tables
+            return linear(_sum_crowded, _from_balls_crowded, tables, tuple(vectors))
+        return linear(_sum, _from_balls, tables, tuple(vectors))
     axial, mirror = _axial(network), _own_mirror(network)
     back = reaction * jnp.where(mirror, 0.0, listed)
     across, along = jnp.where(axial, 0.0, back), jnp.where(axial, network.sector.images * back, back)
     turn = factor * network.slot_cos, factor * network.slot_sin
     tables = network.slot, factor, *turn, *ends, network.cos, network.sin, listed, across, along
+    if crowd:
+        factor = signed(crowd.side)
+        more = crowd.column, crowd.slot, factor, factor * crowd.slot_cos, factor * crowd.slot_sin
+        return linear(_turned_sum_crowded, _from_balls_turned_crowded, (*more, *tables), tuple(vectors))
     return linear(_turned_sum, _from_balls_turned, tables, tuple(vectors))
 
 
@@ -59,7 +73,7 @@ def _at_ends(fixed, values):
     return [each.at[ball].get(**IN_BOUNDS) for ball in (first, second) for each in values]
 
 
-def _from_ends(fixed, values):
+def _rows_from_ends(fixed, values):
     first, _, slot, side, *shared = fixed
     half = len(values) // 2
     ours, theirs = values[:half], values[half:]
@@ -69,17 +83,55 @@ def _from_ends(fixed, values):
         theirs = [each * share for each in theirs]
     index = slot + first.size * (side < 0)
 
-    def summed(one, other):
+    def gathered(one, other):
         there = jnp.concatenate([one, other]).at[index].get(**IN_BOUNDS)
-        return jnp.where(side != 0, there, 0).sum(axis=0)
+        return jnp.where(side != 0, there, 0)
 
-    return [summed(*each) for each in zip(ours, theirs, strict=True)]
+    return [gathered(*each) for each in zip(ours, theirs, strict=True)]
+
+
+def _from_ends(fixed, values):
+    return _summed(_rows_from_ends(fixed, values))
+
+
+def _rows(fixed, values):
+    slot, factor, *_ = fixed
+    return Vector(*values).at(slot) * factor
 
 
 def _sum(fixed, values):
-    slot, factor, *_ = fixed
-    there = Vector(*values).at(slot) * factor
-    return [component.sum(axis=0) for component in there]
+    return _summed(_rows(fixed, values))
+
+
+def _summed(rows):
+    """Sums over the slots, in their order."""
+    return [each.sum(axis=0) for each in rows]
+
+
+def _with_crowd(sums, rows, column):
+    """Sums (N,) with those of the (R, M) rows of a crowd's further slots."""
+    further = computed_once(_summed(rows), column[0] >= 0)
+    return [one + more.at[column].get(**IN_BOUNDS) for one, more in zip(sums, further, strict=True)]
+
+
+def _sum_crowded(fixed, values):
+    column, slot, factor, *tables = fixed
+    return _with_crowd(_sum(tables, values), _rows((slot, factor), values), column)
+
+
+def _from_balls_crowded(fixed, values):
+    return _from_balls(fixed[3:], values)
+
+
+def _at_ends_crowded(fixed, values):
+    return _at_ends(fixed[3:], values)
+
+
+def _from_ends_crowded(fixed, values):
+    column, slot, side, *tables = fixed
+    first, second, _, _, *shared = tables
+    more = _rows_from_ends((first, second, slot, side, *shared), values)
+    return _with_crowd(_from_ends(tables, values), more, column)
 
 
 def _from_balls(fixed, values):
@@ -88,11 +140,23 @@ def _from_balls(fixed, values):
     return list(vectors.at(first) * listed + vectors.at(second) * back)
 
 
-def _turned_sum(fixed, values):
+def _turned_rows(fixed, values):
     slot, factor, cos, sin, *_ = fixed
     there = Vector(*values).at(slot)
-    there = Vector(cos * there.x - sin * there.y, sin * there.x + cos * there.y, factor * there.z)
-    return [component.sum(axis=0) for component in there]
+    return Vector(cos * there.x - sin * there.y, sin * there.x + cos * there.y, factor * there.z)
+
+
+def _turned_sum(fixed, values):
+    return _summed(_turned_rows(fixed, values))
+
+
+def _turned_sum_crowded(fixed, values):
+    column, slot, factor, cos, sin, *tables = fixed
+    return _with_crowd(_turned_sum(tables, values), _turned_rows((slot, factor, cos, sin), values), column)
+
+
+def _from_balls_turned_crowded(fixed, values):
+    return _from_balls_turned(fixed[5:], values)
 
 
 def _from_balls_turned(fixed, values):

@@ -4,6 +4,7 @@ A new shape is compiled anew, so lists of random packings have room to spare. `a
 inside jit.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -15,9 +16,11 @@ from axijax.mechanics.dynamics import positions
 from axijax.mechanics.membrane import Membrane, build_membrane
 from axijax.mechanics.outer_balls import zone_found_again
 from axijax.mechanics.state import State
-from axijax.mechanics.tight_list import room_for
+from axijax.mechanics.tight_list import near_pairs
 from axijax.specimen.specimen import Specimen
 
+# Slots of each ball in a tight list: where none needs more; and where some do, of all balls and further ones of these.
+WIDTH, FEW, FURTHER = 12, 8, 16
 LARGEST_OVERLAP = 0.5  # in radii of the smaller ball; deeper ones are no contacts any more
 
 
@@ -64,25 +67,34 @@ def roomy_lists(
     """
     count = len(specimen)
     outer = int(5 * (count * sector.order) ** (2 / 3) / sector.order) + 8
-    width, contacts, tight = 18, 64 * -(-count // 10), Room(36 * -(-count // 10), 12)
+    width, contacts, tight = 18, 64 * -(-count // 10), Room(36 * -(-count // 10), WIDTH)
     network = _list_in(width, contacts, specimen, sector, None, largest_overlap, dtype)
     if denser > 1:
         now = np.asarray(network.side != 0).sum(axis=0).max()
-        network = _list_in(max(width, int(denser * now)), contacts, specimen, sector, None, largest_overlap, dtype)
-        tight = tight._replace(width=max(tight.width, int(denser * room_for(network).width)))
+        width = _room(int(denser * now), width, factor=1.5)
+        network = _list_in(width, contacts, specimen, sector, None, largest_overlap, dtype)
     if specimen.zone_rule == "exposure":
-        network = replace(network, tight=_tight_room(network, tight, spare=True))
+        # A width without one to spare would soon be too small, and every step compiled again for it.
+        network = replace(network, tight=_tight_room(network, tight, denser, spare=1))
     return network, _membrane_in(3 * outer + 80, outer, specimen, sector, dtype)
 
 
-def _tight_room(network: ContactList, room: Room | None, spare: bool = False) -> Room | None:
-    """Room for tight lists: what there is where it suffices, or else with some to spare; None where there is none."""
+def _tight_room(network: ContactList, room: Room | None, denser: float = 1.0, spare: int = 0) -> Room | None:
+    """Room for tight lists: what there is where it suffices, or else with some to spare; None where there is none.
+
+    Where some balls have more contacts than WIDTH, all have slots for few, and those that need them further ones.
+    """
     if room is None:
         return None
-    needed = room_for(network)
-    # A width without one to spare would soon be too small, and every step compiled again for it.
-    width = _room(needed.width + 1, room.width, 1) if spare else _room(needed.width, room.width, 1)
-    return Room(_room(needed.contacts, room.contacts, 8), width)
+    contacts, slots = near_pairs(network)
+    contacts = _room(contacts + 1, room.contacts, 8)
+    most = int(denser * slots.max(initial=0)) + spare
+    if not room.crowd:
+        if most <= room.width:
+            return room._replace(contacts=contacts)
+        room = Room(contacts, FEW, 8 * -(-slots.size // 48), FURTHER)
+    crowd = int(denser * (slots > FEW).sum()) + 1
+    return Room(contacts, FEW, _room(crowd, room.crowd, 8, 1.5), _room(most - FEW, room.further, factor=2))
 
 
 def _list_in(
@@ -93,7 +105,7 @@ def _list_in(
         return build_contact_list(specimen, sector, skin, width, contacts, largest_overlap, dtype)
     except ValueError:  # what else may be wrong is wrong again here
         exact = build_contact_list(specimen, sector, skin, largest_overlap=largest_overlap, dtype=dtype)
-        rooms = _room(exact.slot.shape[0], width, 1), _room(exact.first.size, contacts, 64)
+        rooms = _room(exact.slot.shape[0], width, factor=1.5), _room(exact.first.size, contacts, 64)
         return build_contact_list(specimen, sector, skin, *rooms, largest_overlap, dtype)
 
 
@@ -107,6 +119,13 @@ def _membrane_in(triangles: int, balls: int, specimen: Specimen, sector: Sector,
         return build_membrane(specimen, sector, rooms[0], dtype, rooms[1])
 
 
-def _room(needed: int, room: int, step: int) -> int:
-    """The room there is where it is enough, or else a fifth more than is needed, a multiple of `step`."""
-    return room if needed <= room else -(-int(1.2 * needed) // step) * step
+def _room(needed: int, room: int, step: int = 1, factor: float = 1.25) -> int:
+    """The room there is where it is enough; or else that made larger by a factor, again and again, until some is left.
+
+    So there are few sizes. Sizes that follow each packing would have the programs of every one of them compiled anew,
+    which takes ten times as long as to pack and shear it.
+    """
+    if needed > room:
+        while room < 1.1 * needed:
+            room = step * math.ceil(factor * room / step)
+    return room

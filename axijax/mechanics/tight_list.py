@@ -21,7 +21,7 @@ import numpy as np
 
 from axijax.core.gather import taken
 from axijax.core.vector import Vector
-from axijax.mechanics.contact_list import ContactList, Room, closing
+from axijax.mechanics.contact_list import ContactList, Crowd, closing
 from axijax.mechanics.contacts import geometry
 from axijax.mechanics.term import Memory
 
@@ -96,7 +96,7 @@ def tighten(network: ContactList, displacement: Vector, allowed: jax.Array) -> T
     displacement: (N,) vectors from the reference positions [L]; allowed: (N,) [L]. Needs `network.tight`.
     """
     assert network.tight is not None
-    length, width = network.tight
+    length, width, columns, further = network.tight
     nothing, balls = network.first.size - 1, network.radius.size
     still = jax.lax.stop_gradient(displacement)
     pair = geometry(network, still)
@@ -111,43 +111,57 @@ def tighten(network: ContactList, displacement: Vector, allowed: jax.Array) -> T
     place = place.at[length - 1].set(nothing)
 
     there = found_at.at[network.slot].get(mode="promise_in_bounds")
-    rows = jnp.arange(width, dtype=jnp.int32)[:, None]
+    every = jnp.arange(balls, dtype=jnp.int32)
+    chosen, number = _chosen(there < length - 1, 0, width)
 
-    def next_row(carry, row):
-        """Which of a ball's slots comes to each row of the tight table, and how many there are so far."""
-        chosen, number = carry
-        slot, filled = row
-        return (jnp.where(filled & (number == rows), slot, chosen), number + filled), None
+    def slots(chosen, ball):
+        """The tables of slots, whose rows are those of the contact list that are `chosen` for each `ball`."""
+        there_is, index = chosen >= 0, jnp.maximum(chosen, 0) * balls + ball
 
-    start = jnp.full((width, balls), -1, jnp.int32), jnp.zeros(balls, jnp.int32)
-    slots = jnp.arange(network.slot.shape[0], dtype=jnp.int32)
-    (chosen, number), _ = jax.lax.scan(next_row, start, (slots, there < length - 1))
-    there_is = chosen >= 0
-    chosen = jnp.maximum(chosen, 0) * balls + jnp.arange(balls, dtype=jnp.int32)
+        def of(table, without):
+            return jnp.where(there_is, table.ravel().at[index].get(mode="promise_in_bounds"), without)
 
-    def slotted(table, without):
-        return jnp.where(there_is, table.ravel().at[chosen].get(mode="promise_in_bounds"), without)
+        made = {"slot": of(there, length - 1), "side": of(network.side, 0.0)}
+        if network.sector.images > 1:
+            return made | {"slot_cos": of(network.slot_cos, 1.0), "slot_sin": of(network.slot_sin, 0.0)}
+        return made | {name: jnp.broadcast_to(value, chosen.shape) for name, value in _unturned(network)}
+
+    crowded, crowd = number > width, None
+    if columns:
+        column = jnp.where(crowded, jnp.minimum(jnp.cumsum(crowded, dtype=jnp.int32), columns) - 1, columns - 1)
+        ball = jnp.zeros(columns, jnp.int32).at[column].set(every).at[columns - 1].set(0)
+        filled = (there < length - 1)[:, ball] & (jnp.arange(columns) < crowded.sum())
+        crowd = Crowd(**slots(_chosen(filled, width, further)[0], ball), column=column)
 
     def contact(values):
         return values if values.ndim == 0 else taken([values], place, found_at, found_at < length - 1)[0]
 
-    turned = {}
-    if network.sector.images > 1:
-        turned = {"slot_cos": slotted(network.slot_cos, 1.0), "slot_sin": slotted(network.slot_sin, 0.0)}
-    else:
-        turned = {name: jnp.broadcast_to(value, (width, balls)) for name, value in _unturned(network)}
     tight = replace(
         network,
         **{name: contact(getattr(network, name)) for name in OF_CONTACTS},
         branch=network.branch.map(contact),
-        slot=slotted(there, length - 1),
-        side=slotted(network.side, 0.0),
-        **turned,
+        **slots(chosen, every),
+        crowd=crowd,
         tight=None,
     )
     closed = closing(network, still, allowed)
-    fits = (order[-1] <= length - 1) & (number.max() <= width) & (closed <= network.skin)
+    fits = (order[-1] <= length - 1) & (number.max() <= width + further) & (closed <= network.skin)
+    fits &= crowded.sum() < max(columns, 1)
     return Tight(tight, place, found_at, still, allowed, closed, fits)
+
+
+def _chosen(filled: jax.Array, begin: int, width: int) -> tuple[jax.Array, jax.Array]:
+    """Of (K, B) slots that are filled or not: the row of the one that comes `begin`-th, and so on, of each ball, -1
+    where there is none, (width, B); and how many there are, (B,)."""
+    rows = begin + jnp.arange(width, dtype=jnp.int32)[:, None]
+
+    def next_row(carry, row):
+        chosen, number = carry
+        slot, there = row
+        return (jnp.where(there & (number == rows), slot, chosen), number + there), None
+
+    start = jnp.full((width, filled.shape[1]), -1, jnp.int32), jnp.zeros(filled.shape[1], jnp.int32)
+    return jax.lax.scan(next_row, start, (jnp.arange(filled.shape[0], dtype=jnp.int32), filled))[0]
 
 
 OF_CONTACTS = ("first", "second", "image", "cos", "sin", "distance", "overlap", "pair_cube", "share")
@@ -157,8 +171,9 @@ def _unturned(network: ContactList):
     return ("slot_cos", jnp.ones((), network.dtype)), ("slot_sin", jnp.zeros((), network.dtype))
 
 
-def room_for(network: ContactList) -> Room:
-    """Room that the tight lists of a contact list need while its balls move slowly (host)."""
+def near_pairs(network: ContactList) -> tuple[int, np.ndarray]:
+    """What the tight lists of a contact list need room for while its balls move slowly: number of contacts, and (N,) of
+    slots (host)."""
     reach = 3 * SLACK * float(network.radius.min())
     near = (np.asarray(network.overlap) > -reach) & (np.asarray(network.image) >= 0)
-    return Room(int(near.sum()) + 1, int(near[np.asarray(network.slot)].sum(axis=0).max(initial=0)))
+    return int(near.sum()), near[np.asarray(network.slot)].sum(axis=0)
