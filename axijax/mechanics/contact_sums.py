@@ -25,7 +25,7 @@ def at_ends(network: "ContactList", numbers: Arrays) -> list[jax.Array]:
         share = jnp.where(_axial(network), 1 / network.sector.images, 1.0)
         tables = *tables, share.astype(network.dtype), _own_mirror(network)
     if crowd := network.crowd:
-        tables = crowd.column, crowd.slot, crowd.side, *tables
+        tables = crowd.ball, crowd.column, crowd.slot, crowd.side, *tables
         return linear(_at_ends_crowded, _from_ends_crowded, tables, numbers)
     return linear(_at_ends, _from_ends, tables, numbers)
 
@@ -40,7 +40,7 @@ def on_balls(network: "ContactList", vectors: Vector, reaction: float) -> list[j
     if network.sector.images == 1:
         tables = network.slot, factor, *ends, listed, reaction * listed
         if crowd:
-            tables = crowd.column, crowd.slot, signed(crowd.side), *tables
+            tables = crowd.ball, crowd.column, crowd.slot, signed(crowd.side), *tables
             return linear(_sum_crowded, _from_balls_crowded, tables, tuple(vectors))
         return linear(_sum, _from_balls, tables, tuple(vectors))
     axial, mirror = _axial(network), _own_mirror(network)
@@ -50,7 +50,7 @@ def on_balls(network: "ContactList", vectors: Vector, reaction: float) -> list[j
     tables = network.slot, factor, *turn, *ends, network.cos, network.sin, listed, across, along
     if crowd:
         factor = signed(crowd.side)
-        more = crowd.column, crowd.slot, factor, factor * crowd.slot_cos, factor * crowd.slot_sin
+        more = crowd.ball, crowd.column, crowd.slot, factor, factor * crowd.slot_cos, factor * crowd.slot_sin
         return linear(_turned_sum_crowded, _from_balls_turned_crowded, (*more, *tables), tuple(vectors))
     return linear(_turned_sum, _from_balls_turned, tables, tuple(vectors))
 
@@ -108,30 +108,34 @@ def _summed(rows):
     return [each.sum(axis=0) for each in rows]
 
 
-def _with_crowd(sums, rows, column):
-    """Sums (N,) with those of the (R, M) rows of a crowd's further slots."""
-    further = computed_once(_summed(rows), column[0] >= 0)
-    return [one + more.at[column].get(**IN_BOUNDS) for one, more in zip(sums, further, strict=True)]
+def _with_crowd(sums, rows, ball, column):
+    """Sums (N,) that go on, for a crowd's balls, with the (R, M) rows of their further slots. One slot after the other,
+    as one table of up to 18 rows is summed, so that bits do not hang on where the first table ends."""
+    sums = computed_once(sums, ball[0] >= 0)
+    begun = [each.at[ball].get(**IN_BOUNDS)[None] for each in sums]
+    whole = computed_once(_summed(map(jnp.concatenate, zip(begun, rows, strict=True))), ball[0] >= 0)
+    crowded = column < ball.size - 1
+    return [jnp.where(crowded, new.at[column].get(**IN_BOUNDS), one) for one, new in zip(sums, whole, strict=True)]
 
 
 def _sum_crowded(fixed, values):
-    column, slot, factor, *tables = fixed
-    return _with_crowd(_sum(tables, values), _rows((slot, factor), values), column)
+    ball, column, slot, factor, *tables = fixed
+    return _with_crowd(_sum(tables, values), _rows((slot, factor), values), ball, column)
 
 
 def _from_balls_crowded(fixed, values):
-    return _from_balls(fixed[3:], values)
+    return _from_balls(fixed[4:], values)
 
 
 def _at_ends_crowded(fixed, values):
-    return _at_ends(fixed[3:], values)
+    return _at_ends(fixed[4:], values)
 
 
 def _from_ends_crowded(fixed, values):
-    column, slot, side, *tables = fixed
+    ball, column, slot, side, *tables = fixed
     first, second, _, _, *shared = tables
     more = _rows_from_ends((first, second, slot, side, *shared), values)
-    return _with_crowd(_from_ends(tables, values), more, column)
+    return _with_crowd(_from_ends(tables, values), more, ball, column)
 
 
 def _from_balls(fixed, values):
@@ -151,12 +155,12 @@ def _turned_sum(fixed, values):
 
 
 def _turned_sum_crowded(fixed, values):
-    column, slot, factor, cos, sin, *tables = fixed
-    return _with_crowd(_turned_sum(tables, values), _turned_rows((slot, factor, cos, sin), values), column)
+    ball, column, slot, factor, cos, sin, *tables = fixed
+    return _with_crowd(_turned_sum(tables, values), _turned_rows((slot, factor, cos, sin), values), ball, column)
 
 
 def _from_balls_turned_crowded(fixed, values):
-    return _from_balls_turned(fixed[5:], values)
+    return _from_balls_turned(fixed[6:], values)
 
 
 def _from_balls_turned(fixed, values):

@@ -131,7 +131,7 @@ def tighten(network: ContactList, displacement: Vector, allowed: jax.Array) -> T
         column = jnp.where(crowded, jnp.minimum(jnp.cumsum(crowded, dtype=jnp.int32), columns) - 1, columns - 1)
         ball = jnp.zeros(columns, jnp.int32).at[column].set(every).at[columns - 1].set(0)
         filled = (there < length - 1)[:, ball] & (jnp.arange(columns) < crowded.sum())
-        crowd = Crowd(**slots(_chosen(filled, width, further)[0], ball), column=column)
+        crowd = Crowd(**slots(_chosen(filled, width, further)[0], ball), ball=ball, column=column)
 
     def contact(values):
         return values if values.ndim == 0 else taken([values], place, found_at, found_at < length - 1)[0]

@@ -22,7 +22,7 @@ from axijax.mechanics.observe import Observation, Space, observe, space
 from axijax.mechanics.params import Params
 from axijax.mechanics.state import State
 from axijax.triaxial.paths import Path
-from axijax.triaxial.tight_steps import can_be_tight, fixed_steps, not_yet, observed, steps_until_worn, tight_list
+from axijax.triaxial.tight_steps import can_be_tight, fixed_steps, observed, steps_until_worn, tight_list
 
 STALE = 1e-2  # largest share of the strip's area that may be counted to the wrong cell
 WORN, WORN_CELLS = 0.6, 0.05  # shares of the skin, and of STALE, at which the lists need a rebuild
@@ -234,8 +234,7 @@ def march_until(
         ), load, tight
 
     load = current_load(membrane, network, state, fixed)
-    begin = not_yet if until_worn else tight_list
-    tight = begin(network, state, dt, record_every) if tightly else None
+    tight = tight_list(network, state, dt, record_every) if tightly else None
     shape = jax.eval_shape(lambda: see(load, space(network, membrane, state), network, state))
     empty = None
     if records is not None:

@@ -32,13 +32,6 @@ def tight_list(network: ContactList, state: State, dt, steps: int) -> Tight:
     return tighten(network, state.displacement, allowances(network, state.velocity, dt, min(steps, STEPS)))
 
 
-def not_yet(network: ContactList, state: State, dt, steps: int) -> Tight:
-    """In place of a tight list that `steps_until_worn` is to make: one that holds nothing, and says so. A list that is
-    made here as well would have to be compiled twice."""
-    shape = jax.eval_shape(lambda: tight_list(network, state, dt, steps))
-    return jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), shape)
-
-
 def observed(see: Callable[[ContactList, State], Any], network: ContactList, tight: Tight | None, state: State) -> Any:
     """What is seen of a state with a tight list, or with the contact list where there is none or it does not hold."""
     if tight is None:
@@ -101,8 +94,8 @@ def steps_until_worn(
 ) -> tuple[State, jax.Array, Tight]:
     """A state after `most` steps, or fewer where the contact list is worn before; how many it took; its tight list.
 
-    tight: made for this contact list, which is filtered again where it will not last. ahead: steps for which, see
-    `tight_list`. worn: two balls having come closer by more it ends, None for never [L]; stride: steps between looks.
+    tight: of this contact list; it is filtered again at the start, and where it will not last. ahead: steps for which,
+    see `tight_list`. worn: two balls having come closer by more it ends, None for never [L]; stride: steps between looks.
     with_all: takes so many steps, or fewer where the list is worn, with the contact list.
     """
 
@@ -124,6 +117,9 @@ def steps_until_worn(
         state, more = with_all(state, jnp.where(good, 0, size))
         return state, taken + jnp.where(good, number, more), tight
 
+    # Never one from before the last record: a run that goes on from there must see the same list, to the last bit of
+    # what is summed up over its contacts.
+    tight = tight._replace(fits=jnp.zeros_like(tight.fits))
     return jax.lax.while_loop(going, further, (state, jnp.zeros((), jnp.int32), tight))
 
 
