@@ -95,8 +95,8 @@ def steps_until_worn(
     """A state after `most` steps, or fewer where the contact list is worn before; how many it took; its tight list.
 
     tight: of this contact list; it is filtered again at the start, and where it will not last. ahead: steps for which,
-    see `tight_list`. worn: two balls having come closer by more it ends, None for never [L]; stride: steps between looks.
-    with_all: takes so many steps, or fewer where the list is worn, with the contact list.
+    see `tight_list`. worn: two balls having come closer by more it ends, None for never [L]; stride: steps between
+    looks. with_all: takes so many steps, or fewer where the list is worn, with the contact list.
     """
 
     def going(carry):
