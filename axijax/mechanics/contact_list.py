@@ -57,15 +57,14 @@ class Crowd(NamedTuple):
     """Further slots of the balls that have more contacts than the table of slots has rows: of a wide grading the
     largest balls have some dozen contacts, most balls six. There are M - 1 columns for them, and an empty one.
 
-    slot, side, slot_cos, slot_sin: (R, M) as of `ContactList`. ball: (M,) int, of each column; column: (N,) int, of
-    each ball, the last where it has no further slots.
+    slot, side, slot_cos, slot_sin: (R, M) as of `ContactList`. column: (N,) int, of each ball, the last where it has no
+    further slots.
     """
 
     slot: jax.Array
     side: jax.Array
     slot_cos: jax.Array
     slot_sin: jax.Array
-    ball: jax.Array
     column: jax.Array
 
 

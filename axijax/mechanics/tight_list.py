@@ -4,9 +4,9 @@ In a random packing the contact list holds twice as many pairs as touch, so that
 whether it touches or not. So steps see only the pairs whose gap their balls can close in a while. Every ball is allowed
 so much displacement (`allowances`), a pair is kept where its gap is smaller than what its two balls are allowed
 together, and as long as no ball has moved by more than it was allowed (`Tight.holds`), no contact is missing: images
-move as far as their balls do. In a slow test that is true for many records. A pair that does not touch has no force and
-an unstrained spring, and contacts keep their order, so that a step gives the same result to rounding whichever of the
-two lists it sees.
+move as far as their balls do. In a slow test that would be true for many records, but each record begins with a list
+of its own (`axijax.triaxial.tight_steps`). A pair that does not touch has no force and an unstrained spring, and
+contacts keep their order, so that a step gives the same result to rounding whichever of the two lists it sees.
 
 Contacts and slots of the tight list have a fixed room; where that does not suffice it says so (`Tight.fits`), and the
 contact list itself has to be used.
@@ -131,7 +131,7 @@ def tighten(network: ContactList, displacement: Vector, allowed: jax.Array) -> T
         column = jnp.where(crowded, jnp.minimum(jnp.cumsum(crowded, dtype=jnp.int32), columns) - 1, columns - 1)
         ball = jnp.zeros(columns, jnp.int32).at[column].set(every).at[columns - 1].set(0)
         filled = (there < length - 1)[:, ball] & (jnp.arange(columns) < crowded.sum())
-        crowd = Crowd(**slots(_chosen(filled, width, further)[0], ball), ball=ball, column=column)
+        crowd = Crowd(**slots(_chosen(filled, width, further)[0], ball), column=column)
 
     def contact(values):
         return values if values.ndim == 0 else taken([values], place, found_at, found_at < length - 1)[0]
