@@ -131,6 +131,7 @@ def fit_study(
         for ground in grounds:
             ground.read()
             spent.begin(ground)
+        for ground in grounds:
             _first(ground, spent, seed)
         while True:
             fitted, held = _compared(tests, nodes, places, grounds)
@@ -242,6 +243,12 @@ class _Spent:
     def begin(self, shared: _Shared) -> None:
         known, first = len(shared.ground.runs), min(first_runs(shared.ground.dims), self.runs)
         allowed = self.runs - known if known < first else self.further
+        dims, least = shared.ground.dims, least_runs(shared.ground.dims + 1)
+        if known + allowed < least:
+            raise ValueError(
+                f"runs = {self.runs}: a surface in {dims} parameter{'s' * (dims > 1)} needs at least {least} runs of one "
+                f"scene, of which the library holds {known}: allow more."
+            )
         self.allowed[id(shared)] = max(allowed, 0)
         self.wanted += max(allowed, 0)
         if known:
@@ -281,7 +288,7 @@ def _first(shared: _Shared, spent: _Spent, seed: int) -> None:
     if len(ground.runs) < least:
         told = f"; the last that failed: {ground.failed[-1].failed}" if ground.failed else ""
         raise RuntimeError(
-            f"{len(ground.runs)} sound runs, of {least} that a surface in {ground.dims} parameters needs "
+            f"{len(ground.runs)} sound runs, of {least} that a surface in {ground.dims} parameter(s) needs "
             f"({len(ground.failed)} failed): allow more runs, or narrower bounds{told}."
         )
 

@@ -78,7 +78,7 @@ record_every = 20
 STUDY = """
 case = "sand.toml"
 fit = ["friction"]
-runs = 12
+runs = 16
 [bounds]
 friction = [0.15, 0.8]
 [[test]]
