@@ -246,7 +246,7 @@ class _Spent:
         dims, least = shared.ground.dims, least_runs(shared.ground.dims + 1)
         if known + allowed < least:
             raise ValueError(
-                f"runs = {self.runs}: a surface in {dims} parameter{'s' * (dims > 1)} needs at least {least} runs of one "
+                f"runs = {self.runs}: a surface in {dims} parameter{'s' * (dims > 1)} needs at least {least} of one "
                 f"scene, of which the library holds {known}: allow more."
             )
         self.allowed[id(shared)] = max(allowed, 0)

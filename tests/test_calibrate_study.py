@@ -176,7 +176,7 @@ def test_a_killed_study_goes_on_where_it_was(tmp_path):
 def test_too_few_runs_are_refused_before_the_first(tmp_path):
     curve, void_ratio = truth(8, seed=400, friction=0.5)
     tests, made = [StudyTest("a", curve, scene(), None, 8, void_ratio)], []
-    with pytest.raises(ValueError, match="runs = 16: a surface in 2 parameters needs at least 17 runs of one scene, of "
+    with pytest.raises(ValueError, match="runs = 16: a surface in 2 parameters needs at least 17 of one scene, of "
                                          "which the library holds 0: allow more"):  # fmt: skip
         fit_study(tests, "friction,kn", workers=1, runs=16, bounds=BOUNDS, library=tmp_path,
                   progress=lambda *run: made.append(run))  # fmt: skip

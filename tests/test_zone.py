@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from axijax.core.sector import Sector
 from axijax.core.vector import from_rows
 from axijax.mechanics.membrane import build_membrane, cell_areas, membrane_radius, stale_cells
-from axijax.mechanics.outer_balls import HOLE, cell_polygons, outer_balls, visible_share, zone_found_again
+from axijax.mechanics.outer_balls import HOLE, cell_polygons, covered_to, outer_balls, visible_share, zone_found_again
 from axijax.specimen.specimen import Specimen, cut_to_sector, fcc_octagon
 
 SECTORS = [Sector(1), Sector(2), Sector(3), Sector(12), Sector(4, "rigid")]
@@ -97,6 +97,24 @@ def test_visible_share_is_what_a_finer_look_sees(order):
             inside = specimen.radius**2 - (rho * np.sin(along)) ** 2 - (z[i] - z) ** 2
             met = np.where(inside > 0, rho * np.cos(along) + np.sqrt(np.maximum(inside, 0)), -np.inf)
             assert met.max() > rho[i] + specimen.radius[i], "its centre is hidden"
+
+
+@pytest.mark.parametrize("order", [1, 4])
+def test_what_surely_stands_before_a_ball_does(order):
+    """Against every ball and image along the line through its centre, for radii that differ tenfold."""
+    rng, sector = np.random.default_rng(2), Sector(order)
+    theta = rng.uniform(0, sector.angle, 1500)
+    rho, z, radius = 20 * np.sqrt(rng.uniform(size=1500)), rng.uniform(0, 40, 1500), 0.3 * 10 ** rng.uniform(size=1500)
+    farthest = np.zeros(1500)
+    for k in range(order):
+        along = theta[:, None] - theta - k * sector.angle
+        inside = radius**2 - (rho * np.sin(along)) ** 2 - (z[:, None] - z) ** 2
+        met = np.where(inside > 0, rho * np.cos(along) + np.sqrt(np.maximum(inside, 0)), 0.0)
+        farthest = np.maximum(farthest, met.max(axis=1))
+    covered = covered_to(rho, theta, z, radius, sector.angle)
+    assert (covered <= farthest).all()
+    found, hidden = covered > rho + radius, farthest > rho + radius
+    assert found.sum() > 0.3 * hidden.sum(), "many of those that are hidden"
 
 
 @pytest.mark.parametrize("rough", [0.0, 0.2])

@@ -24,6 +24,7 @@ STAY = 0.4  # part below which it ceases to be one; lower, so that the zone does
 DEEP = 2.0  # an outer ball lies at most this many mean radii below the median of its neighbours on the surface
 HOLE = 3.0  # no empty circle between outer balls on the unfolded cylinder has a radius of more mean radii
 POINTS = 64  # points on a ball's disc
+CELLS = 8  # along either side of what a ball is quickly found to cover
 
 
 def outer_balls(
@@ -77,11 +78,12 @@ def visible_share(positions: np.ndarray, radius: np.ndarray, sector: Sector) -> 
     def in_front(looked_at, reach, outermost):
         """Pairs (i, place in the sorted images) of balls looked at and of those that may stand before them: within
         reach of their height, coming farther out than `outermost`, and at an angle that overlaps theirs."""
-        low, high = (np.searchsorted(z[ball], z[looked_at] + sign * reach) for sign in (-1, 1))
+        there = np.flatnonzero((rho + radius)[ball] > outermost.min(initial=np.inf))
+        low, high = (np.searchsorted(z[ball[there]], z[looked_at] + sign * reach) for sign in (-1, 1))
         sizes = high - low
         i = np.repeat(looked_at, sizes)
-        near = np.arange(i.size) - np.repeat(np.cumsum(sizes) - sizes - low, sizes)
-        kept = (rho + radius)[ball][near] > np.repeat(outermost, sizes)
+        near = there[np.arange(i.size) - np.repeat(np.cumsum(sizes) - sizes - low, sizes)]
+        kept = (rho + radius)[ball[near]] > np.repeat(outermost, sizes)
         i, near = i[kept], near[kept]
         j = ball[near]
         aside = np.abs((theta[j] + turn[near] * sector.angle - theta[i] + np.pi) % (2 * np.pi) - np.pi)
@@ -112,20 +114,52 @@ def visible_share(positions: np.ndarray, radius: np.ndarray, sector: Sector) -> 
         behind[pair, point] = outward > own[at]
         return behind
 
+    def parts(balls):
+        """The balls of a mask in parts of like reach: what may stand before the outer ones is little."""
+        chosen = np.flatnonzero(balls)
+        chosen = chosen[np.argsort((rho + radius)[chosen], kind="stable")]
+        return map(np.sort, np.array_split(chosen, 4 + count // 2000))
+
     share = np.zeros(count)
-    seen = rho > radius / 2
+    seen = (rho > radius / 2) & (rho + radius >= covered_to(rho, theta, z, radius, 2 * np.pi / sector.images))
     # Most balls are inside, and the line through the centre tells.
-    for some in np.array_split(np.flatnonzero(seen), 1 + count // 4000):
+    for some in parts(seen):
         i, near = in_front(some, radius.max(), (rho + radius)[some])
         seen[i[hidden(i, near, facing(some, slice(1)), np.searchsorted(some, i), slice(1))[:, 0]]] = False
-    for some in np.array_split(np.flatnonzero(seen), 1 + count // 4000):
+    for some in parts(seen):
         lines = facing(some, slice(None))
         i, near = in_front(some, radius[some] + radius.max(), lines[2].min(axis=1))
         place = np.searchsorted(some, i)
         covered = np.zeros((some.size, POINTS), bool)
-        np.logical_or.at(covered, place, hidden(i, near, lines, place, slice(None)))
+        first = np.flatnonzero(np.diff(place, prepend=-1))  # of the pairs of each ball, which follow one another
+        if first.size:
+            covered[place[first]] = np.logical_or.reduceat(hidden(i, near, lines, place, slice(None)), first)
         share[some] = 1 - covered.mean(axis=1)
     return share
+
+
+def covered_to(rho, theta, z, radius, period: float) -> np.ndarray:
+    """How far from the axis other balls surely stand on the radial line through each ball's centre, (N,) [L].
+
+    Found quickly, so that only balls near the outside need a closer look: angle and height are cut into cells, and a
+    ball stands before every cell that lies within the square in its disc, of some CELLS of them at most. Arrays (N,);
+    period: angle after which the balls come again.
+    """
+    size = radius.mean() / 3
+    columns = max(int(period * (rho + radius).max() / size), 1)
+    bottom, per_angle = z.min(), columns / period
+    rows = int((z.max() - bottom) / size) + 1
+    across = np.minimum(radius / np.maximum(2**0.5 * rho, 1e-300) * per_angle, CELLS / 2)
+    upward = np.minimum(radius / 2**0.5 / size, CELLS / 2)
+    x, y = theta * per_angle, (z - bottom) / size
+    left, low = (np.ceil(middle - half).astype(int) for middle, half in ((x, across), (y, upward)))
+    right, high = (np.floor(middle + half).astype(int) for middle, half in ((x, across), (y, upward)))
+    far = np.sqrt(np.maximum(rho**2 - radius**2, 0.0))
+    cells = np.zeros((columns, rows))
+    for column, row in np.ndindex(CELLS, CELLS):
+        here = np.flatnonzero((left + column < right) & (low + row < np.minimum(high, rows)) & (low + row >= 0))
+        np.maximum.at(cells, ((left[here] + column) % columns, low[here] + row), far[here])
+    return cells[np.floor(x).astype(int) % columns, np.minimum(y.astype(int), rows - 1)]
 
 
 def zone_found_again(specimen: Specimen, sector: Sector) -> np.ndarray:

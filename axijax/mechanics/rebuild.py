@@ -20,7 +20,8 @@ from axijax.mechanics.tight_list import near_pairs
 from axijax.specimen.specimen import Specimen
 
 # Slots of each ball in a tight list: where none needs more; and where some do, of all balls and further ones of these.
-WIDTH, FEW, FURTHER = 12, 8, 16
+WIDTH, FEW, FURTHER = 12, 9, 8
+SPARE = 1.1  # times what is needed now: steps see the whole list, and take three times as long, where there is no room
 LARGEST_OVERLAP = 0.5  # in radii of the smaller ball; deeper ones are no contacts any more
 
 
@@ -67,7 +68,7 @@ def roomy_lists(
     """
     count = len(specimen)
     outer = int(5 * (count * sector.order) ** (2 / 3) / sector.order) + 8
-    width, contacts, tight = 18, 64 * -(-count // 10), Room(36 * -(-count // 10), WIDTH)
+    width, contacts, tight = 18, 64 * -(-count // 10), Room(34 * -(-count // 10), WIDTH)
     network = _list_in(width, contacts, specimen, sector, None, largest_overlap, dtype)
     if denser > 1:
         now = np.asarray(network.side != 0).sum(axis=0).max()
@@ -87,13 +88,13 @@ def _tight_room(network: ContactList, room: Room | None, denser: float = 1.0, sp
     if room is None:
         return None
     contacts, slots = near_pairs(network)
-    contacts = _room(contacts + 1, room.contacts, 8)
+    contacts = _room(int(1.05 * contacts) + 1, room.contacts, 8)
     most = int(denser * slots.max(initial=0)) + spare
     if not room.crowd:
         if most <= room.width:
             return room._replace(contacts=contacts)
-        room = Room(contacts, FEW, 8 * -(-slots.size // 48), FURTHER)
-    crowd = int(denser * (slots > FEW).sum()) + 1
+        room = Room(contacts, FEW, 8 * -(-slots.size // 64), FURTHER)
+    crowd = int(SPARE * denser * (slots > FEW).sum()) + 1
     return Room(contacts, FEW, _room(crowd, room.crowd, 8, 1.5), _room(most - FEW, room.further, factor=2))
 
 

@@ -26,7 +26,7 @@ from axijax.mechanics.contacts import geometry
 from axijax.mechanics.term import Memory
 
 STEPS = 50  # most steps that are taken before it is found out whether the list held
-SLACK = 0.02  # by which any ball may move between two filterings, in radii of the smallest ball
+SLACK = 0.01  # by which any ball may move between two filterings, in radii of the smallest ball
 FASTER = 2.0  # times what it would move at its present speed, which it may move besides
 
 

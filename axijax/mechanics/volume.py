@@ -207,13 +207,21 @@ def _between(surface, angle, height, sector: Sector) -> jax.Array:
     """The surface at angles and heights (N,), the height as a share of the specimen's, interpolated linearly."""
     columns, rows = surface.shape
     x = angle / sector.angle * columns - 0.5
-    x = jnp.mod(x, columns) if sector.boundary == "periodic" else jnp.clip(x, 0, columns - 1)
+    if sector.boundary != "periodic":
+        x = jnp.clip(x, 0, columns - 1)
     y = jnp.clip(height * rows - 0.5, 0, rows - 1)
-    left, below = (jax.lax.stop_gradient(jnp.floor(part)).astype(jnp.int32) for part in (x, y))
-    right = (left + 1) % columns if sector.boundary == "periodic" else jnp.minimum(left + 1, columns - 1)
-    left = left % columns  # a modulus may round up to its divisor
+    floors = jax.lax.stop_gradient((jnp.floor(x), jnp.floor(y)))
+    u, v = x - floors[0], y - floors[1]
+    # Not by a remainder, which a CPU takes number by number. Half a column more keeps rounding away from the ends.
+    turns = jnp.floor((floors[0] + 0.5) / columns) if sector.boundary == "periodic" else 0
+    left, below = (floors[0] - columns * turns).astype(jnp.int32), floors[1].astype(jnp.int32)
+    right = left + 1
+    right = jnp.where(right == columns, 0 if sector.boundary == "periodic" else columns - 1, right)
     above = jnp.minimum(below + 1, rows - 1)
-    u, v = x - jnp.floor(x), y - below
-    corners = jnp.stack([rows * column + row for column in (left, right) for row in (below, above)])
-    (found,) = gathered((surface.ravel(),), corners)
-    return (1 - u) * ((1 - v) * found[0] + v * found[1]) + u * ((1 - v) * found[2] + v * found[3])
+
+    def at(column, row):  # all four in one array would be put together anew for each ball
+        return gathered((surface.ravel(),), rows * column + row)[0]
+
+    return (1 - u) * ((1 - v) * at(left, below) + v * at(left, above)) + u * (
+        (1 - v) * at(right, below) + v * at(right, above)
+    )
