@@ -3,15 +3,17 @@
     python examples/twin_sands.py --truths 10 --folder twin_sands     # an hour of one core
     python examples/twin_sands.py --truths 20 --folder twin_sands --rolling
 
-Parameters are drawn, a specimen of 500 balls (half a cylinder) is packed and sheared with them to 10 % strain, 1 %
-noise is put on R and volumetric strain, and the fit knows nothing but that curve. Half the truths are the curve of one
-packing, half the mean of eight. One library of 40 runs, on packings of its own, serves all of them.
+Parameters are drawn, a specimen of 500 balls (--balls for others; half of them are simulated) is packed and sheared
+with them to 10 % strain, 1 % noise is put on R and volumetric strain, and the fit knows nothing but that curve. Half
+the truths are the curve of one packing, half the mean of eight. One library of 40 runs, on packings of its own, serves
+all of them.
 Writes twins.csv: for each truth and parameter the true value, the interval, and the verdict.
 """
 
 import argparse
 import csv
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -24,7 +26,7 @@ from calibrate.axes import axes_of, physical
 from calibrate.ensemble import run_all
 from calibrate.library import Library
 
-SECTOR, BALLS, REACH, NOISE = axijax.Sector(2), 500, 0.0975, 0.01
+SECTOR, REACH, NOISE = axijax.Sector(2), 0.0975, 0.01
 STRESS, RADIUS = 5.0e4, 20.0
 BOUNDS = {
     False: {
@@ -43,9 +45,9 @@ TRUE = {"friction": (0.2, 0.6), "normal_stiffness": (6e8, 6e9), "stiffness_ratio
         "rolling_friction": (0.0, 0.5)}  # fmt: skip
 
 
-def sand(seed: int, params: axijax.Params) -> axijax.TriaxialTest:
+def sand(seed: int, params: axijax.Params, balls: int) -> axijax.TriaxialTest:
     """A test of a dense random specimen, loaded at an inertial number of 2e-3."""
-    specimen, report = axijax.random_cylinder(BALLS, SECTOR, compaction_friction=0.05, seed=seed, params=params)
+    specimen, report = axijax.random_cylinder(balls, SECTOR, compaction_friction=0.05, seed=seed, params=params)
     params = replace(params, platen_speed=axijax.platen_speed(2e-3, specimen, params))
     return axijax.TriaxialTest(
         specimen, SECTOR, params=params, axial_strain=REACH, confining_friction=report.compaction_friction,
@@ -53,11 +55,12 @@ def sand(seed: int, params: axijax.Params) -> axijax.TriaxialTest:
     )  # fmt: skip
 
 
-def scene(rolling: bool) -> calibrate.RandomScene:
+def scene(rolling: bool, balls: int) -> calibrate.RandomScene:
     params = axijax.Params(friction=0.4, normal_stiffness=2e9, shear_stiffness=1e9, confining_stress=STRESS)
     if rolling:
         params = replace(params, shear_stiffness=6e8, rolling_friction=0.2)
-    return calibrate.RandomScene(sand, params, least={"friction": 0.05})
+    made = {"make": f"{sand.__module__}.sand", "balls": str(balls)}
+    return calibrate.RandomScene(partial(sand, balls=balls), params, made, {"friction": 0.05})
 
 
 def hidden(names, number: int) -> list[float]:
@@ -86,6 +89,7 @@ def measured(curves, number: int) -> tuple[calibrate.MeasuredCurve, float]:
 def main() -> None:
     asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     asked.add_argument("--folder", type=Path, default=Path("twin_sands"))
+    asked.add_argument("--balls", type=int, default=500, help="in the full cylinder")
     asked.add_argument("--truths", type=int, default=10, help="of one packing")
     asked.add_argument("--of-eight", type=int, default=10, help="truths that are the mean of eight packings")
     asked.add_argument("--further", type=int, default=0, help="runs placed for each truth; 0: the 40 alone")
@@ -93,7 +97,7 @@ def main() -> None:
     asked.add_argument("--without-void-ratio", action="store_true", help="the fit is not told the truths' void ratios")
     asked.add_argument("--workers", type=int, default=1)
     given = asked.parse_args()
-    world, bounds = scene(given.rolling), BOUNDS[given.rolling]
+    world, bounds = scene(given.rolling, given.balls), BOUNDS[given.rolling]
     names, axes = list(bounds), axes_of(world, list(bounds), bounds)
     truths = Library(world, given.folder / "truths")
     rows = []

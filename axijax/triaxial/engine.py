@@ -25,7 +25,7 @@ from axijax.triaxial.paths import Path
 from axijax.triaxial.tight_steps import can_be_tight, fixed_steps, observed, steps_until_worn, tight_list
 
 STALE = 1e-2  # largest share of the strip's area that may be counted to the wrong cell
-WORN, WORN_CELLS = 0.8, 0.05  # shares of the skin, and of STALE, at which the lists need a rebuild
+WORN, WORN_CELLS = 0.6, 0.05  # shares of the skin, and of STALE, at which the lists need a rebuild
 STRIDE = 10  # steps between looks at how far the balls have moved
 # A ball farther out than this many times the mean of the membrane's has left it. A small specimen that barrels at 13 %
 # strain has sound balls at 1.5.
@@ -169,8 +169,7 @@ def march_until(
     until_worn: stop as well where a list is worn, in the middle of a record's steps if need be. Where it is not, `due`
         is `record_every`, a number of steps that is known to the compiler: on a GPU the host then need not ask after
         each step whether there is another, and a vmap need not choose between old and new after each.
-    every_step: look at every step how far the balls have moved, see `until_balls_moved`; what steps see a tight list
-        for is done so anyway.
+    every_step: look at every step how far the balls have moved, see `until_balls_moved`.
     due: steps until the next record is due, zero for now. steps: taken before. fresh: the lists were just rebuilt, so
         that it goes on at least a little whatever they look like.
     limit: stop after so many records, at most as many as there are places. past_last: but take the steps to the next
@@ -195,8 +194,7 @@ def march_until(
         state, taken = now.state, now.due
 
         def with_all(state, most):
-            one = lambda state: step(load, network, state)  # noqa: E731
-            return until_balls_moved(one, network, dt, most, state, every_step or tightly)
+            return until_balls_moved(lambda s: step(load, network, s), network, dt, most, state, every_step)
 
         if not until_worn:
             state = fixed_steps(partial(step, load), network, dt, tight, state, record_every)
