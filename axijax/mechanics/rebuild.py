@@ -83,7 +83,7 @@ def roomy_lists(
 def _tight_room(network: ContactList, room: Room | None, denser: float = 1.0, spare: int = 0) -> Room | None:
     """Room for tight lists: what there is where it suffices, or else with some to spare; None where there is none.
 
-    Where some balls have more contacts than WIDTH, all have slots for few, and those that need them further ones.
+    Where some balls have more contacts than WIDTH, all have slots for FEW, and those that need them further ones.
     """
     if room is None:
         return None
