@@ -117,6 +117,14 @@ def test_what_surely_stands_before_a_ball_does(order):
     assert found.sum() > 0.3 * hidden.sum(), "many of those that are hidden"
 
 
+@pytest.mark.parametrize("far", [1e15, np.inf, np.nan])
+def test_a_ball_that_has_flown_away_takes_no_memory(far):
+    """`simulate` goes on after a run has gone wrong, and finds its zone again."""
+    z = np.array([1.0, 2.0, 3.0, far])
+    for rho, height in ((np.ones(4), z), (z, np.arange(4.0))):
+        assert covered_to(rho, np.zeros(4), height, np.ones(4), 2 * np.pi).shape == (4,)
+
+
 @pytest.mark.parametrize("rough", [0.0, 0.2])
 @pytest.mark.parametrize("sector", SECTORS, ids=str)
 def test_cells_of_a_random_zone_tile_the_strip_and_are_well_shaped(sector, rough):

@@ -25,6 +25,7 @@ DEEP = 2.0  # an outer ball lies at most this many mean radii below the median o
 HOLE = 3.0  # no empty circle between outer balls on the unfolded cylinder has a radius of more mean radii
 POINTS = 64  # points on a ball's disc
 CELLS = 8  # along either side of what a ball is quickly found to cover
+MOST_CELLS = 4000  # round a specimen, and along it
 
 
 def outer_balls(
@@ -145,13 +146,14 @@ def covered_to(rho, theta, z, radius, period: float) -> np.ndarray:
     ball stands before every cell that lies within the square in its disc, of some CELLS of them at most. Arrays (N,);
     period: angle after which the balls come again.
     """
-    size = radius.mean() / 3
-    columns = max(int(period * (rho + radius).max() / size), 1)
-    bottom, per_angle = z.min(), columns / period
-    rows = int((z.max() - bottom) / size) + 1
+    if not np.isfinite(rho + z).all():  # of a run that went wrong, as is one with a ball that has flown far away
+        return np.zeros(rho.shape)
+    bottom, size = z.min(), radius.mean() / 3
+    tall, columns = max(size, np.ptp(z) / MOST_CELLS), int(np.clip(period * (rho + radius).max() / size, 1, MOST_CELLS))
+    rows, per_angle = int(np.ptp(z) / tall) + 1, columns / period
     across = np.minimum(radius / np.maximum(2**0.5 * rho, 1e-300) * per_angle, CELLS / 2)
-    upward = np.minimum(radius / 2**0.5 / size, CELLS / 2)
-    x, y = theta * per_angle, (z - bottom) / size
+    upward = np.minimum(radius / 2**0.5 / tall, CELLS / 2)
+    x, y = theta * per_angle, (z - bottom) / tall
     left, low = (np.ceil(middle - half).astype(int) for middle, half in ((x, across), (y, upward)))
     right, high = (np.floor(middle + half).astype(int) for middle, half in ((x, across), (y, upward)))
     far = np.sqrt(np.maximum(rho**2 - radius**2, 0.0))
