@@ -223,7 +223,7 @@ def test_a_random_specimen_runs_as_with_the_whole_list():
 
 
 def test_its_room_has_some_to_spare(monkeypatch):
-    """A run whose contacts grew in number by a few per cent saw the whole list in a quarter of them."""
+    """A run whose contacts grew in number by a few per cent took a quarter of its first steps with the whole list."""
     monkeypatch.setattr(rebuild, "FEW", 1)
     network, _, _ = moved_balls(1)
     contacts, slots = near_pairs(network)

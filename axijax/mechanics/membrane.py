@@ -106,7 +106,7 @@ def membrane_arrays(specimen: Specimen, sector: Sector, triangles: int | None, d
     if balls is not None and balls < zone.size:
         raise ValueError(f"balls = {balls}: the membrane zone holds {zone.size}; allow at least that many.")
     ends = np.sort(np.stack([corners[[1, 2]], corners[[2, 0]], corners[[0, 1]]], axis=1), axis=0)
-    _, edge = np.unique(ends[0] * owners.size + ends[1], return_inverse=True)
+    _, edge = np.unique(ends[0].astype(np.int64) * owners.size + ends[1], return_inverse=True)
     edge = edge.reshape(3, -1)
     edges: Any = np.concatenate([edge, np.full((3, (triangles or needed) - needed), edge.max() + 1)], 1)
     edge_inside = np.bincount(edge.ravel(), minlength=3 * (triangles or needed)) == 2
